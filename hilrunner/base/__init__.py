@@ -1,0 +1,1 @@
+"""Words every room shares: units, status codes, record layouts, ring layout, errors. Imports numpy (and numba in `compiled`) only."""

@@ -1,0 +1,80 @@
+"""`hilrunner`: names of commands and nothing else; each command's file is imported only when it is called."""
+
+import argparse
+import importlib
+import sys
+
+from hilrunner import __version__
+from hilrunner.base.errors import HilrunnerError
+
+COMMANDS = {
+    "run": "the main job: a firmware on CAN drives the simulated actuator (default when the first word is an option)",
+    "simulate": "the plant alone: no CAN, no wall clock",
+    "report": "latency report and verdict of a run",
+    "replay": "bit-exact surrogate replay, and the DAE beside it",
+    "train": "sample, solve, train and export a surrogate",
+    "reproduce": "the paper's figures and tables beside ours",
+    "doctor": "is this host fit for real time? each finding with its remedy",
+    "bench": "plant step, loop and log against named rivals",
+    "profiles": "list the profiles that ship",
+    "check": "validate a profile: keys, units, DBC, model, stability, bus load",
+}
+
+EXIT_CODES = """exit codes:
+  0 done, verdict passed        1 verdict failed
+  2 usage or bad input          3 deadline budget exceeded
+  4 CAN lost                    5 cross-check out of tolerance
+  6 real-time set-up refused under --require-realtime"""
+
+
+def build_parser(command: str) -> argparse.ArgumentParser:
+    """The parser of one command."""
+    module = importlib.import_module(f"hilrunner.commands.{command}")
+    parser = argparse.ArgumentParser(
+        prog=f"hilrunner {command}",
+        description=module.__doc__,
+        epilog=EXIT_CODES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    module.add_arguments(parser)
+    parser.set_defaults(main=module.main)
+    return parser
+
+
+def overview() -> str:
+    """What `hilrunner --help` prints."""
+    rows = "\n".join(f"  {name:10s} {text}" for name, text in COMMANDS.items())
+    return (
+        f"hilrunner {__version__}: hardware-in-the-loop bench for hydraulic crane actuators\n\n"
+        f"usage: hilrunner --can vcan0 [options]      the main job, same as `hilrunner run --can vcan0`\n"
+        f"       hilrunner COMMAND [options]          `hilrunner COMMAND --help` for its options\n\n"
+        f"commands:\n{rows}\n\n{EXIT_CODES}\n"
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Run one command; returns the exit code."""
+    words = list(sys.argv[1:] if argv is None else argv)
+    if not words or words[0] in ("-h", "--help", "help"):
+        print(overview(), end="")
+        return 0
+    if words[0] in ("-V", "--version"):
+        print(f"hilrunner {__version__}")
+        return 0
+    command = "run" if words[0].startswith("-") else words.pop(0)
+    if command not in COMMANDS:
+        print(f"hilrunner: no command '{command}'; commands: {', '.join(COMMANDS)}", file=sys.stderr)
+        return 2
+    arguments = build_parser(command).parse_args(words)
+    try:
+        return arguments.main(arguments)
+    except HilrunnerError as error:
+        print(f"hilrunner {command}: {error}", file=sys.stderr)
+        return error.exit_code
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,1 @@
+"""The actuator: equations, loads, solvers and the network. No clock, no bus."""
