@@ -1,0 +1,161 @@
+"""One DBC signal becomes one row of realtime.bits.SIGNAL: segments, scale to SI, range on the wire.
+
+Decimal numbers of the DBC are taken as exact fractions: 16384 * 0.006103515625 % is exactly 1, not nearly.
+"""
+
+import math
+from fractions import Fraction
+
+import numpy as np
+
+from hilrunner.base.errors import DbcError
+from hilrunner.realtime import bits, encode
+
+
+def find(place: str, message, name: str):
+    """The signal of that name (a cantools Signal); DbcError with the names there are."""
+    for signal in message.signals:
+        if signal.name == name:
+            if signal.is_multiplexer or signal.multiplexer_ids is not None:
+                raise DbcError(
+                    f"{place}: {message.name}.{name}",
+                    "is multiplexed",
+                    "plain signals",
+                    "map a message without multiplexing",
+                )
+            return signal
+    known = ", ".join(signal.name for signal in message.signals)
+    raise DbcError(f"{place}: {message.name}", f"no signal '{name}'", known)
+
+
+def bit_places(start: int, length: int, byte_order: str) -> list[int]:
+    """Place (byte * 8 + bit) of each raw bit, lowest first, from the start bit as a DBC gives it.
+
+    DBC start bits: the lowest bit of a little-endian signal, the highest of a big-endian one (Vector DBC format).
+    """
+    if byte_order == "little_endian":
+        return list(range(start, start + length))
+    places = []
+    place = start
+    for _ in range(length):
+        places.append(place)
+        place = place - 1 if place % 8 else place + 15
+    return places[::-1]
+
+
+def segments(places: list[int]) -> list[tuple[int, int, int, int]]:
+    """(byte, shift, width, raw place) of each run of bits within one byte."""
+    out: list[tuple[int, int, int, int]] = []
+    for raw, place in enumerate(places):
+        if out and out[-1][0] == place // 8 and out[-1][1] + out[-1][2] == place % 8:
+            byte, shift, width, first = out[-1]
+            out[-1] = (byte, shift, width + 1, first)
+        else:
+            out.append((place // 8, place % 8, 1, raw))
+    return out
+
+
+def row(where: str, signal, factor: Fraction, modulus: bool) -> np.ndarray:
+    """The row of a signal whose physical value times `factor` is SI; `modulus`: it wraps instead of being clamped."""
+    if not 1 <= signal.length <= 64:
+        raise DbcError(where, f"{signal.length} bits long", "1..64 bits")
+    scale = Fraction(str(signal.scale))
+    if scale == 0 or factor == 0:
+        raise DbcError(where, "a scale of 0 carries nothing")
+    out = np.zeros((), bits.SIGNAL)
+    cut = segments(bit_places(signal.start, signal.length, signal.byte_order))
+    out["segment_count"] = len(cut)
+    for index, (byte, shift, width, first) in enumerate(cut):
+        out["segment_byte"][index] = byte
+        out["segment_shift"][index] = shift
+        out["segment_mask"][index] = (1 << width) - 1
+        out["segment_place"][index] = first
+    out["kind"] = _kind(where, signal)
+    out["bit_mask"] = (1 << signal.length) - 1
+    out["sign_bit"] = 1 << (signal.length - 1) if out["kind"] == bits.KIND_SIGNED else 0
+    out["scale"] = float(scale * factor)
+    out["offset"] = float(Fraction(str(signal.offset)) * factor)
+    out["number_min"], out["number_max"] = _number_range(where, signal, int(out["kind"]), scale)
+    if modulus:
+        _check_modulus(where, signal, out)
+        out["modulus"] = float(1 << signal.length)
+        out["number_min"], out["number_max"] = 0.0, float((1 << signal.length) - 1)
+    return out
+
+
+def _kind(where: str, signal) -> int:
+    if not signal.is_float:
+        return bits.KIND_SIGNED if signal.is_signed else bits.KIND_UNSIGNED
+    if signal.length == 32:
+        return bits.KIND_FLOAT32
+    if signal.length == 64:
+        return bits.KIND_FLOAT64
+    raise DbcError(where, f"a float of {signal.length} bits", "32 or 64 bits")
+
+
+def _check_modulus(where: str, signal, out: np.ndarray) -> None:
+    """Counters and time stamps wrap at the signal's width, so the width must be exact in a float64."""
+    if out["kind"] != bits.KIND_UNSIGNED or signal.length > 52 or out["offset"] != 0 or out["scale"] < 0:
+        raise DbcError(where, "a counter that wraps must be unsigned, without offset", "up to 52 bits")
+
+
+def _number_range(where: str, signal, kind: int, scale: Fraction) -> tuple[float, float]:
+    """Allowed numbers on the wire: the DBC's range, cut to what the bits can hold; [0|0] means no range."""
+    low, high = _full_range(signal.length, kind)
+    minimum, maximum = signal.minimum, signal.maximum
+    if minimum is not None and maximum is not None and not (minimum == 0 and maximum == 0):
+        offset = Fraction(str(signal.offset))
+        ends = sorted(((Fraction(str(end)) - offset) / scale) for end in (minimum, maximum))
+        if kind <= bits.KIND_SIGNED:
+            low, high = max(low, math.ceil(ends[0])), min(high, math.floor(ends[1]))
+        else:
+            low, high = max(low, float(ends[0])), min(high, float(ends[1]))
+    if low > high:
+        raise DbcError(where, f"range [{minimum}|{maximum}] holds no value its bits can carry")
+    return _float_at_least(low), _float_at_most(high)
+
+
+def _full_range(length: int, kind: int) -> tuple:
+    if kind == bits.KIND_UNSIGNED:
+        return 0, (1 << length) - 1
+    if kind == bits.KIND_SIGNED:
+        return -(1 << (length - 1)), (1 << (length - 1)) - 1
+    largest = float(np.finfo(np.float32).max) if kind == bits.KIND_FLOAT32 else float(np.finfo(np.float64).max)
+    return -largest, largest
+
+
+def _float_at_most(value: int | float) -> float:
+    """Largest float64 that is not above `value` (64-bit integers do not fit exactly)."""
+    number = float(value)
+    return math.nextafter(number, -math.inf) if number > value else number
+
+
+def _float_at_least(value: int | float) -> float:
+    number = float(value)
+    return math.nextafter(number, math.inf) if number < value else number
+
+
+def start_image(message) -> np.ndarray:
+    """u1[64]: the message with every signal at its GenSigStartValue (0 without one)."""
+    image = np.zeros(encode.DATA_SIZE_MAX, np.uint8)
+    for signal in message.signals:
+        raw = int(signal.raw_initial or 0) if not signal.is_float else 0
+        for index, place in enumerate(bit_places(signal.start, signal.length, signal.byte_order)):
+            if raw >> index & 1:
+                image[place // 8] |= 1 << place % 8
+    return image
+
+
+def check_room(where: str, length: int, rows: list[np.ndarray], protected: bool) -> None:
+    """Every mapped signal inside the message, no two on the same bits, none on CRC or counter."""
+    used = 0x0FFF if protected else 0
+    for out in rows:
+        own = 0
+        for index in range(int(out["segment_count"])):
+            byte = int(out["segment_byte"][index])
+            own |= int(out["segment_mask"][index]) << int(out["segment_shift"][index]) << 8 * byte
+        if own >> 8 * length:
+            raise DbcError(where, "a mapped signal reaches beyond the message", f"{length} bytes")
+        if own & used:
+            raise DbcError(where, "two mapped signals, or a signal and CRC or counter, share bits")
+        used |= own
