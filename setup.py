@@ -1,0 +1,15 @@
+"""Maps the data folders of the source tree into the wheel; everything else about packaging is in pyproject.toml."""
+
+from setuptools import find_packages, setup
+
+DATA = {
+    "profiles": ["*.toml", "*.csv", "*.md", "*.json", "models/*", "**/*.toml", "**/*.csv", "**/*.json", "**/*.md"],
+    "firmware_iface": ["*.dbc", "*.csv", "*.md", "*.toml", "c/*.[ch]", "c/**/*.[ch]", "c/Makefile", "c/*.md"],
+}
+
+setup(
+    packages=find_packages(include=["hilrunner", "hilrunner.*"]) + [f"hilrunner._data.{name}" for name in DATA],
+    package_dir={f"hilrunner._data.{name}": name for name in DATA},
+    package_data={f"hilrunner._data.{name}": patterns for name, patterns in DATA.items()},
+    include_package_data=False,
+)
