@@ -34,11 +34,12 @@ TICK = _layout(
         ("record_ns", "u4"),  # record phase of the tick before: this one is not over when the record is written
         ("frames_received", "u4"),
         ("skipped_count", "u4"),  # whole periods skipped just before this tick
-        ("flags", "u4"),  # bit 0: late (a miss), bit 1: within the window around a miss
+        ("flags", "u4"),  # TICK_FLAG_*: late (a miss), near a miss, fail-safe forced before this tick
     ]
 )
 TICK_FLAG_MISS = 1
 TICK_FLAG_NEAR_MISS = 2
+TICK_FLAG_FORCED_FAIL_SAFE = 4  # by a deadline limit of the profile, just before this tick
 
 COMMAND = _layout(
     [

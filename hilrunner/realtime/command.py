@@ -31,12 +31,6 @@ COMMAND_STATE = np.dtype(
     align=True,
 )
 
-# What one valid frame says; written by decode, one row an axis.
-FRESH_COMMAND = np.dtype(
-    [("valve_command", "f8"), ("timestamp_us", "u4"), ("control", "u1"), ("counter", "u1")], align=True
-)
-
-
 def make_command_state(stale_after_ns: int, hold_for_ns: int, ramp_for_ns: int) -> np.ndarray:
     """The state of one axis before any frame, shape (1,)."""
     row = np.zeros(1, COMMAND_STATE)

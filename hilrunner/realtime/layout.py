@@ -56,7 +56,7 @@ PROGRESS = np.dtype(
         ("near_miss_left", "i8"),
         ("record_ns_before", "i8"),
         ("wake_mono_ns_before", "i8"),
-        ("fail_safe_count", "i8"),
+        ("forced_fail_safe", "i8"),  # 1: a limit forced the fail-safe at the end of the last tick
         ("flags_seen", "i8"),  # OR of all state flags
         ("echo_real_ns", "i8"),  # receive stamp of the command this tick answers; 0: none
     ],
@@ -87,7 +87,7 @@ class Bench(NamedTuple):
     load_scale: np.ndarray  # (axis,) float64: factor on the static load in this period
     state_flags: np.ndarray  # (axis,) int64: status.FLAG_* of this period
     # scratch: meaningless between periods
-    fresh: np.ndarray  # (axis,) command.FRESH_COMMAND
+    fresh: np.ndarray  # (axis,) decode.FRESH
     plant_scratch: np.ndarray  # (SCRATCH_SIZE,) float64
     inbox: Mailbox
     outbox: Mailbox
