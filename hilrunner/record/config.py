@@ -1,0 +1,68 @@
+"""What the runner tells the recorder process: one JSON object on its standard input."""
+
+import dataclasses
+import json
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A file to keep inside the log: either `path` or `text` is set."""
+
+    name: str
+    media_type: str
+    path: str | None = None
+    text: str | None = None
+
+
+@dataclass(frozen=True)
+class CheckConfig:
+    """What the online cross-check needs.
+
+    `axis_plants_path` is a pickle of one plant.step.AxisPlant with engine reference for each axis; it is deleted once read.
+    Tolerances are absolute; NaN or None switches one off. `one_step_decimation` 1 checks every tick's own step, n every
+    n-th; `record_decimation` likewise for the records written to /<axis>/check.
+    """
+
+    axis_plants_path: str
+    initial_states: list[list[float]]  # per axis the STATE_SIZE floats of the state before the first tick
+    pressure_tolerance_pa: float | None = None  # shadow trajectory, chambers 1 and 2
+    position_tolerance_m: float | None = None
+    velocity_tolerance_mps: float | None = None
+    one_step_pressure_tolerance_pa: float | None = None
+    one_step_position_tolerance_m: float | None = None
+    one_step_decimation: int = 1
+    record_decimation: int = 1
+
+
+@dataclass(frozen=True)
+class RecorderConfig:
+    """One run as the recorder sees it."""
+
+    ring_fd: int  # of launch.RingBlock; inherited by the recorder
+    ring_shape: list[int]  # base.ring.RingShape
+    axis_names: list[str]
+    period_ns: int
+    parent_pid: int  # the runner: its death ends the log
+    log_path: str | None = None  # None: no log, only cross-check, statistics and live view
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)  # tables "run" and "host"
+    attachments: list[Attachment] = field(default_factory=list)
+    statistics_hz: float = 1.0
+    live_port: int | None = None
+    live_hz: float = 25.0
+    cpus: list[int] | None = None  # cores the recorder may use; None: all but the runner's choice
+    check: CheckConfig | None = None
+
+
+def encode(config: RecorderConfig) -> str:
+    """The JSON text."""
+    return json.dumps(dataclasses.asdict(config))
+
+
+def decode(text: str) -> RecorderConfig:
+    """The configuration in a JSON text; unknown keys are refused (TypeError)."""
+    values = json.loads(text)
+    values["attachments"] = [Attachment(**one) for one in values["attachments"]]
+    if values["check"] is not None:
+        values["check"] = CheckConfig(**values["check"])
+    return RecorderConfig(**values)

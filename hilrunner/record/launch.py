@@ -1,0 +1,140 @@
+"""Start and end the recorder process from the runner's set-up. Cold code; imported by `setup`, never by `realtime`.
+
+The ring lives in an anonymous memory file whose descriptor the recorder inherits: nothing has to be unlinked, and nothing
+stays behind when both processes are killed.
+"""
+
+import json
+import mmap
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import hilrunner
+from hilrunner.base import ring as ring_layout
+from hilrunner.base.errors import LogError
+from hilrunner.record import config as recorder_config
+
+READY_OPEN = 1
+READY_REFUSED = 2
+
+
+class RingBlock:
+    """The shared memory of a ring; `fd` goes into RecorderConfig.ring_fd."""
+
+    def __init__(self, fd: int, size_bytes: int) -> None:
+        self.fd = fd
+        self.size_bytes = size_bytes
+        self.buffer = mmap.mmap(fd, size_bytes)
+
+    def close(self) -> None:
+        """Give the descriptor back; the memory goes when the last view of it does."""
+        if self.fd >= 0:
+            os.close(self.fd)
+            self.fd = -1
+
+
+def create_ring(shape: ring_layout.RingShape) -> tuple[RingBlock, ring_layout.Ring]:
+    """A new initialised ring of this shape and the block that holds it."""
+    size_bytes = ring_layout.size_bytes(shape)
+    fd = os.memfd_create("hilrunner-ring", os.MFD_CLOEXEC)
+    os.ftruncate(fd, size_bytes)
+    block = RingBlock(fd, size_bytes)
+    ring = ring_layout.view(block.buffer, shape)
+    ring_layout.initialise(ring, shape)
+    return block, ring
+
+
+def attach_ring(fd: int, shape: ring_layout.RingShape) -> tuple[RingBlock, ring_layout.Ring]:
+    """The ring behind an inherited descriptor, contents untouched."""
+    size_bytes = ring_layout.size_bytes(shape)
+    if os.fstat(fd).st_size < size_bytes:
+        raise LogError("ring", f"{os.fstat(fd).st_size} bytes of shared memory", limit=f"at least {size_bytes} bytes")
+    block = RingBlock(fd, size_bytes)
+    ring = ring_layout.view(block.buffer, shape)
+    if ring_layout.word(ring, ring_layout.WORD_MAGIC) != ring_layout.MAGIC:
+        raise LogError("ring", "the shared memory holds no ring of this version")
+    return block, ring
+
+
+class RecorderHandle:
+    """The runner's end of the recorder process."""
+
+    def __init__(self, process: subprocess.Popen, ring: ring_layout.Ring, errors) -> None:
+        self.process = process
+        self._ring = ring
+        self._errors = errors
+        self._summary: dict | None = None
+
+    def wait_ready(self, timeout_s: float = 10.0) -> None:
+        """Until the log is open; LogError with the recorder's reason when it refuses, dies or takes too long."""
+        deadline_s = time.monotonic() + timeout_s
+        while (ready := ring_layout.word(self._ring, ring_layout.WORD_RECORDER_READY)) != READY_OPEN:
+            if ready == READY_REFUSED or self.process.poll() is not None:
+                summary = self.finish(timeout_s=5.0)
+                place, problem, limit, remedy = summary.get("error") or ["recorder", self._died(), "", ""]
+                raise LogError(place, problem, limit, remedy)
+            if time.monotonic() > deadline_s:
+                self.process.kill()
+                raise LogError(
+                    "recorder", f"not ready within {timeout_s:g} s", remedy="try again, or run with --no-log"
+                )
+            time.sleep(0.002)
+
+    def poll(self) -> int | None:
+        """None while the recorder lives, else its exit code."""
+        return self.process.poll()
+
+    def finish(self, timeout_s: float = 30.0) -> dict:
+        """Wait for the log to be finished and return the recorder's summary (see docs/log.md).
+
+        The caller has stored WORD_EXIT_REASON before. A recorder that died or hangs gives {"error": [...]} instead.
+        """
+        if self._summary is None:
+            try:
+                out, _ = self.process.communicate(timeout=timeout_s)
+            except subprocess.TimeoutExpired:
+                self.process.kill()
+                self.process.communicate()
+                return {"error": ["recorder", f"did not finish within {timeout_s:g} s", "", ""]}
+            lines = out.decode(errors="replace").strip().splitlines()
+            try:
+                self._summary = json.loads(lines[-1])
+            except (IndexError, json.JSONDecodeError):
+                self._summary = {"error": ["recorder", self._died(), "", ""]}
+        return self._summary
+
+    def _died(self) -> str:
+        self._errors.seek(0)
+        words = self._errors.read().decode(errors="replace").strip().splitlines()
+        return f"ended with code {self.process.poll()}" + (f": {words[-1]}" if words else "")
+
+
+def start_recorder(config: recorder_config.RecorderConfig, ring: ring_layout.Ring) -> RecorderHandle:
+    """Start the recorder in a session of its own (Ctrl-C does not reach it); `ring` is the one behind config.ring_fd."""
+    errors = tempfile.TemporaryFile()
+    root = str(Path(hilrunner.__file__).resolve().parent.parent)
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH")))),
+        "OPENBLAS_NUM_THREADS": "1",  # no pool of threads beside the loop
+    }
+    process = subprocess.Popen(
+        [sys.executable, "-m", "hilrunner.record"],
+        env=environment,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=errors,
+        pass_fds=(config.ring_fd,),
+        start_new_session=True,
+    )
+    try:
+        process.stdin.write(recorder_config.encode(config).encode())
+        process.stdin.close()
+    except BrokenPipeError:
+        pass  # it died; wait_ready tells why
+    process.stdin = None
+    return RecorderHandle(process, ring, errors)
