@@ -49,7 +49,7 @@ def build_block(channel: int, sequence: int, payload: np.ndarray, log_real_ns, p
     messages["opcode"] = OPCODE_MESSAGE
     messages["length"] = 22 + size
     messages["channel"] = channel
-    messages["sequence"] = np.arange(sequence, sequence + count, dtype=np.uint32)
+    messages["sequence"] = np.arange(sequence, sequence + count).astype(np.uint32)  # the format counts modulo 2**32
     messages["log_real_ns"] = log_real_ns
     messages["publish_real_ns"] = publish_real_ns
     messages["data"] = data

@@ -41,17 +41,17 @@ class Drain:
     """The recorder's end of the ring."""
 
     def __init__(self, ring: ring_layout.Ring, shape: ring_layout.RingShape) -> None:
-        self._ring = ring
+        self.ring = ring
         self._shape = shape
         self.fill_ratio_max = 0.0
 
     def word(self, index: int) -> int:
         """One header word."""
-        return ring_layout.word(self._ring, index)
+        return ring_layout.word(self.ring, index)
 
     def store(self, index: int, value: int) -> None:
         """Store one header word the recorder owns."""
-        self._ring.header[index * ring_layout.HEADER_STRIDE] = value
+        self.ring.header[index * ring_layout.HEADER_STRIDE] = value
 
     def snapshot(self) -> Counts:
         """What the loop has published so far."""
@@ -72,7 +72,7 @@ class Drain:
     def consume(self, counts: Counts, consumer: Consumer) -> int:
         """Hand over everything up to `counts` (taken a cycle ago) and free it; returns the ticks handed over."""
         axes = self._shape.axis_count
-        ring = self._ring
+        ring = self.ring
         read = self.word(ring_layout.WORD_TICK_READ)
         self.fill_ratio_max = max(self.fill_ratio_max, (counts.ticks - read) / self._shape.tick_capacity)
         # frames first: those of a tick are published before the tick itself

@@ -115,7 +115,7 @@ class RecorderHandle:
 
 def start_recorder(config: recorder_config.RecorderConfig, ring: ring_layout.Ring) -> RecorderHandle:
     """Start the recorder in a session of its own (Ctrl-C does not reach it); `ring` is the one behind config.ring_fd."""
-    errors = tempfile.TemporaryFile()
+    errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the handle)
     root = str(Path(hilrunner.__file__).resolve().parent.parent)
     environment = {
         **os.environ,

@@ -70,7 +70,7 @@ class LogWriter:
         for name, values in (metadata or {}).items():
             self._file.add_metadata(name, {key: str(value) for key, value in values.items()})
         for name, media_type, data in attachments:
-            self._file.add_attachment(name, media_type, data, time.time_ns())
+            self.add_attachment(name, media_type, data)
 
     @property
     def path(self) -> Path:
@@ -100,6 +100,10 @@ class LogWriter:
     def add_topic(self, topic: str, message: str, dtype: np.dtype) -> None:
         """Declare a topic of `base.records`-like records; `message` names its schema `hilrunner/msg/<message>`."""
         self._add_channel(topic, f"hilrunner/msg/{message}", schemas.schema_text(message, dtype))
+
+    def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """Keep a file inside the log."""
+        self._file.add_attachment(name, media_type, data, time.time_ns())
 
     def write_records(self, topic: str, payload: np.ndarray, log_real_ns, publish_real_ns) -> None:
         """Add records (n,) of the topic's layout; times (n,) or scalar int64 ns since the Unix epoch."""

@@ -21,6 +21,7 @@ from hilrunner.record import config as recorder_config
 from hilrunner.record.drain import Drain
 from hilrunner.record.launch import READY_OPEN, READY_REFUSED, attach_ring
 from hilrunner.record.mcap_log import LOG_LEVEL_ERROR, LOG_LEVEL_INFO, LOG_LEVEL_WARNING, LogWriter
+from hilrunner.record.statistics import HISTOGRAM_ATTACHMENT, frame_counts, histogram_text, statistics_record
 
 CYCLE_MS = 50
 FLUSH_INTERVAL_NS = 1_000_000_000
@@ -52,6 +53,7 @@ class Recorder:
     def __init__(self, settings: recorder_config.RecorderConfig, drain: Drain, log: LogWriter | None) -> None:
         self.settings = settings
         self.drain = drain
+        self.ring = drain.ring
         self.log = log
         self.tick_count = 0
         self.last_tick = -1
@@ -85,6 +87,13 @@ class Recorder:
         if self.log:
             self.log.write_can(can, self.start_mono_ns, self.start_real_ns)
 
+    def write_statistics(self) -> None:
+        """The loop's histograms so far."""
+        if self.log and self.tick_count:
+            real_ns = self.start_real_ns + self.last_tick * self.settings.period_ns
+            record = statistics_record(self.ring, self.last_tick, self.tick_count)
+            self.log.write_statistics(record, real_ns + self.settings.period_ns, real_ns)
+
     def event(self, level: int, text: str) -> None:
         """A line in /log."""
         if self.log:
@@ -107,8 +116,10 @@ class Recorder:
 
 def run(settings: recorder_config.RecorderConfig, recorder: Recorder, watch: Watch) -> int:
     """Drain until the runner ends; returns its exit reason (status.EXIT_*)."""
-    next_flush_ns = time.monotonic_ns() + FLUSH_INTERVAL_NS
     drain = recorder.drain
+    statistics_interval_ns = int(1e9 / settings.statistics_hz)
+    next_flush_ns = time.monotonic_ns() + FLUSH_INTERVAL_NS
+    next_statistics_ns = time.monotonic_ns() + statistics_interval_ns
     while True:
         # the end is read before the counts: what the counts say then is final
         reason = drain.word(ring_layout.WORD_EXIT_REASON)
@@ -118,6 +129,9 @@ def run(settings: recorder_config.RecorderConfig, recorder: Recorder, watch: Wat
             watch.wait(CYCLE_MS)
         drain.consume(counts, recorder)
         now_ns = time.monotonic_ns()
+        if ended or now_ns >= next_statistics_ns:
+            next_statistics_ns = now_ns + statistics_interval_ns
+            recorder.write_statistics()
         if ended:
             return reason if reason != status.EXIT_RUNNING else status.EXIT_KILLED
         if now_ns >= next_flush_ns:
@@ -150,6 +164,7 @@ def summarise(recorder: Recorder, reason: int, begin_mono_ns: int) -> dict:
         "cpu_s": round(usage.ru_utime + usage.ru_stime, 3),
         "cpu_ratio": round((usage.ru_utime + usage.ru_stime) / max(wall_s, 1e-9), 4),
         "memory_bytes_max": usage.ru_maxrss * 1024,
+        "frames": frame_counts(recorder.ring, recorder.settings.axis_names),
         "error": None,
     }
 
@@ -170,7 +185,10 @@ def closing_metadata(recorder: Recorder, reason: int) -> dict[str, dict[str, str
         "lost_bytes": recorder.log.lost_bytes if recorder.log else 0,
         "lost_messages": recorder.log.lost_messages if recorder.log else 0,
     }
-    return {"run": {**recorder.settings.metadata.get("run", {}), **{key: str(value) for key, value in ended.items()}}}
+    return {
+        "run": {**recorder.settings.metadata.get("run", {}), **{key: str(value) for key, value in ended.items()}},
+        "frames": frame_counts(recorder.ring, recorder.settings.axis_names),
+    }
 
 
 def leave_realtime(cpus: list[int] | None) -> None:
@@ -228,6 +246,7 @@ def main() -> int:
     if log:
         log.flush()
         recorder.account()
+        log.add_attachment(HISTOGRAM_ATTACHMENT, "application/json", histogram_text(ring).encode())
         log.close(closing_metadata(recorder, reason))
         drain.store(ring_layout.WORD_RECORDER_LOST_BYTES, log.lost_bytes)
     report(summarise(recorder, reason, begin_mono_ns))

@@ -8,6 +8,7 @@ import json
 import os
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 
@@ -144,7 +145,7 @@ def start(log_path, shape=None, period_ns=1_000_000, **settings):
 
 
 def main() -> None:
-    words = json.loads(open(sys.argv[1]).read())
+    words = json.loads(Path(sys.argv[1]).read_text())
     shape = ring_shape(**words.get("shape", {}))
     period_ns = words.get("period_ns", 1_000_000)
     block, producer, handle = start(words["log_path"], shape, period_ns, **words.get("settings", {}))
