@@ -12,6 +12,8 @@ from hilrunner.base.compiled import hot
 
 # |R(z)| <= 1 for RK4 on the negative real axis up to 2.785 and on the imaginary axis up to 2.828
 REAL_AXIS_LIMIT = 2.785293563405282
+_NODE = (0.0, 0.5, 0.5, 1.0)
+_WEIGHT = (1.0 / 6.0, 1.0 / 3.0, 1.0 / 3.0, 1.0 / 6.0)
 
 
 @hot
@@ -85,14 +87,13 @@ def make_rk4(rates, state_count: int):
     @hot
     def integrate(context, y, lines, step_s, count):
         for _ in range(count):
-            k, lines = rates(context, y, lines)
-            following = shifted(y, step_s / 6.0, k)
-            k, lines = rates(context, shifted(y, 0.5 * step_s, k), lines)
-            following = shifted(following, step_s / 3.0, k)
-            k, lines = rates(context, shifted(y, 0.5 * step_s, k), lines)
-            following = shifted(following, step_s / 3.0, k)
-            k, lines = rates(context, shifted(y, step_s, k), lines)
-            y = shifted(following, step_s / 6.0, k)
+            following = y
+            k = y
+            for stage in range(4):  # one call of the rates in the code: a quarter of the machine code to compile and cache
+                at = y if stage == 0 else shifted(y, _NODE[stage] * step_s, k)
+                k, lines = rates(context, at, lines)
+                following = shifted(following, _WEIGHT[stage] * step_s, k)
+            y = following
         return y, lines
 
     return integrate
