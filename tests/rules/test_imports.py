@@ -1,0 +1,62 @@
+"""The rooms keep their direction (contracts in pyproject.toml), and the command line starts without the heavy libraries."""
+
+import ast
+import subprocess
+import sys
+
+from tests.rules import tree
+
+
+def test_import_contracts_hold():
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-c",
+            "from importlinter.cli import lint_imports_command; lint_imports_command()",
+            "--no-cache",
+        ],
+        cwd=tree.ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "0 broken" in done.stdout
+
+
+def test_help_and_version_need_no_heavy_library():
+    program = (
+        "import sys; from hilrunner.cli import main; main(['--help']); main(['--version']); "
+        "heavy = {'numpy', 'numba', 'can', 'onnxruntime', 'matplotlib', 'torch'} & set(sys.modules); "
+        "sys.exit(f'imported for --help: {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert "usage: hilrunner" in done.stdout
+
+
+def _imported_roots(path):
+    for node in ast.walk(ast.parse(tree.text_of(path))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            yield node.module.partition(".")[0]
+
+
+def test_firmware_interface_stands_alone():
+    """A firmware team can take the folder: nothing in it imports or includes anything of ours."""
+    for path in tree.project_files():
+        name = tree.relative(path)
+        if not name.startswith("firmware_iface/"):
+            continue
+        if path.suffix == ".py":
+            assert "hilrunner" not in set(_imported_roots(path)), name
+        if path.suffix in (".c", ".h"):
+            for line in tree.text_of(path).splitlines():
+                assert not (line.startswith("#include") and ".." in line), f"{name}: {line}"
+
+
+def test_nothing_of_the_product_imports_tools_or_tests():
+    for path in tree.python_files():
+        name = tree.relative(path)
+        if name.startswith("hilrunner/"):
+            assert not {"tools", "tests"}.intersection(_imported_roots(path)), name
