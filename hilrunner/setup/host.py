@@ -42,7 +42,7 @@ LABEL_VERIFIED = "real-time verified"
 LABEL_BEST_EFFORT = "best effort"
 LABEL_SIMULATED = "simulated clock"
 
-WAKE_UP, WAKE_UP_DISTURBED = "wake-up (tried)", "wake-up beside a busy kernel (tried)"
+WAKE_UP, WAKE_UP_DISTURBED = "wake-up (tried)", "wake-up, disturbed (tried)"
 # A warning of these alone already forbids the word "verified".
 _DECISIVE = ("kernel preemption", "virtual machine", WAKE_UP, WAKE_UP_DISTURBED)
 
