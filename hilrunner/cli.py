@@ -71,6 +71,9 @@ def main(argv: list[str] | None = None) -> int:
     except HilrunnerError as error:
         print(f"hilrunner {command}: {error}", file=sys.stderr)
         return error.exit_code
+    except KeyboardInterrupt:
+        print(f"hilrunner {command}: interrupted; nothing is left half done", file=sys.stderr)
+        return 0
     except BrokenPipeError:
         sys.stderr.close()
         return 0

@@ -16,6 +16,7 @@ from msgspec import Meta, Struct, field
 from hilrunner.base.errors import ProfileError
 from hilrunner.setup import resources
 from hilrunner.setup.limits import read_limits
+from hilrunner.setup.signals import AxisMapping
 
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
@@ -82,7 +83,7 @@ class Can(Struct, forbid_unknown_fields=True, frozen=True):
     dbc: str = "actuator.dbc"  # file under firmware_iface, or a path relative to the profile
     bitrate: Annotated[int, Meta(ge=10_000, le=8_000_000)] = 1_000_000  # for the bus load; vcan has none
     fd: bool = False
-    mapping: dict[str, Any] = field(default_factory=dict)  # own DBC: see docs/own-dbc.md; empty: the shipped DBC
+    mapping: tuple[AxisMapping, ...] = ()  # own DBC: one [[can.mapping]] an axis; empty: the shipped DBC
 
 
 class DeadlineLimit(Struct, forbid_unknown_fields=True, frozen=True):

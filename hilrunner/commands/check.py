@@ -1,0 +1,51 @@
+"""Validate a profile: keys, units and relations, DBC, trained model, stability of the integrator, bus load."""
+
+import argparse
+import json
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `hilrunner check`."""
+    parser.add_argument("profile", metavar="NAME|FILE", help="a shipped profile or a TOML file")
+    parser.add_argument("--engine", choices=("surrogate", "reference"), default="surrogate", help="default: %(default)s")
+    parser.add_argument("--json", action="store_true", help="findings as one JSON object")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Build everything a run would build, without bus and clock; exit 2 with the reason where it cannot be built."""
+    from hilrunner.base import status
+    from hilrunner.plant.step import stability_limit_s
+    from hilrunner.setup.arm import arm_offline
+    from hilrunner.setup.axes import period_s
+    from hilrunner.setup.profile import load_profile
+    from hilrunner.setup.traffic import bench_load_ratio
+
+    loaded = load_profile(args.profile)
+    armed = arm_offline(loaded, status.ENGINE_NAMES.index(args.engine))
+    load = bench_load_ratio(loaded, armed.bench.command_table, armed.bench.measurement_table)
+    axes = []
+    for axis, plant in zip(loaded.profile.axis, armed.axes.plants, strict=True):
+        limit_s = stability_limit_s(plant)
+        count = plant.substep_count
+        axes.append(
+            {
+                "name": axis.name,
+                "substeps": count,
+                "step_us": round(period_s(loaded) / count * 1e6, 2),
+                "stability_limit_us": round(limit_s * 1e6, 2),
+            }
+        )
+    found = {"profile": loaded.profile.name, "axes": axes, "bus_load_ratio": round(load, 4), "dbc": armed.dbc_path.name}
+    if args.json:
+        print(json.dumps(found))
+        return 0
+    print(f"{loaded.path}: profile {found['profile']} is sound")
+    for axis in axes:
+        print(
+            f"  {axis['name']}: {axis['substeps']} substeps of {axis['step_us']} us; RK4 is stable up to "
+            f"{axis['stability_limit_us']} us"
+        )
+    for report in armed.axes.model_reports:
+        print(f"  model: {report.summary()}")
+    print(f"  {found['dbc']}: bus load {100 * load:.1f} % of {loaded.profile.can.bitrate} bit/s")
+    return 0

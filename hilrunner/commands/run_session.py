@@ -1,0 +1,152 @@
+"""`hilrunner run` behind its options: build the session, watch it, tell how it ended."""
+
+import argparse
+import json
+import signal
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+
+import msgspec
+
+from hilrunner.base import exit_codes, status
+from hilrunner.base import ring as ring_layout
+from hilrunner.base.errors import LogError, UsageError
+from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
+from hilrunner.commands.run_summary import summarise_run
+from hilrunner.setup import host
+from hilrunner.setup.profile import LoadedProfile, load_profile
+from hilrunner.setup.session import RunOptions, RunResult, Session
+from hilrunner.setup.stimulus import load_stimulus
+
+_LIVE_INTERVAL_S = 0.25
+
+
+def execute(args: argparse.Namespace, begin_mono_ns: int) -> int:
+    """One run; returns the exit code."""
+    loaded = _with_period(load_profile(args.profile), args.period_us)
+    options = _options(args, loaded)
+    session = Session(loaded, options, begin_mono_ns)
+    stopped = _stop_on_signals(session)
+    session.start()
+    if not args.json:
+        print_start(session)
+    live = LiveLine(session, enabled=sys.stderr.isatty() and not args.json)
+    while session.running(_LIVE_INTERVAL_S):
+        live.update()
+    live.close()
+    _restore_signals(stopped)
+    result = session.finish()
+    code = exit_code(result)
+    summary = summarise_run(result, code)
+    if args.json:
+        print(json.dumps(summary))
+    else:
+        print_summary(summary)
+    return code
+
+
+def exit_code(result: RunResult) -> int:
+    """The documented exit code of a finished run; the gravest fact wins."""
+    if result.exit_reason == status.EXIT_CAN_LOST:
+        return exit_codes.CAN_LOST
+    if result.exit_reason == status.EXIT_DEADLINE:
+        return exit_codes.DEADLINE_BUDGET_EXCEEDED
+    if ring_layout.word(result.ring, ring_layout.WORD_CHECK_FAILED_TICK) != 0:
+        return exit_codes.CROSS_CHECK_FAILED
+    if result.exit_reason == status.EXIT_NOT_FINITE or result.recorder.get("error"):
+        return exit_codes.VERDICT_FAILED
+    return exit_codes.PASSED
+
+
+def _with_period(loaded: LoadedProfile, period_us: int | None) -> LoadedProfile:
+    """The profile with --period-us in place; the attached text stays true by carrying the change as well."""
+    if period_us is None:
+        return loaded
+    if not 50 <= period_us <= 1_000_000:
+        raise UsageError("--period-us", f"{period_us} us", limit="50 to 1000000 us")
+    bench = msgspec.structs.replace(loaded.profile.bench, period_us=period_us)
+    return LoadedProfile(
+        profile=msgspec.structs.replace(loaded.profile, bench=bench), path=loaded.path, text=with_bench_key(loaded.text, period_us)
+    )
+
+
+def with_bench_key(text: str, period_us: int) -> str:
+    """The text of a profile with bench.period_us set."""
+    lines = [line for line in text.splitlines() if not line.strip().startswith("period_us")]
+    for index, line in enumerate(lines):
+        if line.strip() == "[bench]":
+            lines.insert(index + 1, f"period_us = {period_us}")
+            return "\n".join(lines) + "\n"
+    return "\n".join(lines) + f"\n\n[bench]\nperiod_us = {period_us}\n"
+
+
+def _options(args: argparse.Namespace, loaded: LoadedProfile) -> RunOptions:
+    interface, channel = _bus_names(args)
+    stimulus = load_stimulus(args.stimulus, loaded) if args.stimulus else None
+    if channel is None and stimulus is None:
+        raise UsageError(
+            "hilrunner run", "no bus and no stimulus", remedy="name a bus (--can vcan0) or a schedule (--stimulus FILE)"
+        )
+    if not 0 <= args.priority <= 99:
+        raise UsageError("--priority", str(args.priority), limit="0 (do not ask) to 99")
+    return RunOptions(
+        engine=status.ENGINE_NAMES.index(args.engine),
+        interface=interface,
+        channel=channel,
+        bitrate=args.bitrate or loaded.profile.can.bitrate,
+        fd=args.fd or loaded.profile.can.fd,
+        duration_s=args.duration,
+        log_path=None if args.no_log else _log_path(args.log, loaded),
+        stimulus=stimulus,
+        overrun=args.overrun,
+        spin_us=args.spin_us,
+        live_port=args.live,
+        require_realtime=args.require_realtime,
+        realtime=host.RealtimeOptions(priority=args.priority, cpu=args.cpu),
+    )
+
+
+def _bus_names(args: argparse.Namespace) -> tuple[str, str | None]:
+    """Interface and channel: options first, then python-can's own configuration (can.conf, CAN_INTERFACE, CAN_CHANNEL)."""
+    channel = args.channel or args.can
+    if args.can and args.channel and args.can != args.channel:
+        raise UsageError("--can, -c", f"'{args.can}' and '{args.channel}' differ", remedy="name one channel")
+    if args.interface:
+        return args.interface, channel
+    if args.can:
+        return "socketcan", channel
+    import can.util
+
+    configured = can.util.load_file_config() | can.util.load_environment_config()
+    return str(configured.get("interface", "socketcan")), channel or configured.get("channel")
+
+
+def _log_path(asked: Path | None, loaded: LoadedProfile) -> Path:
+    stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+    path = asked or Path("runs") / f"{stamp}-{loaded.profile.name}.mcap"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LogError(str(path.parent), f"cannot be made: {error.strerror}", remedy="choose another --log") from error
+    return path
+
+
+def _stop_on_signals(session: Session) -> dict:
+    """SIGINT and SIGTERM end the run after the current tick; a second one ends the process as usual."""
+    before = {}
+
+    def stop(number, _frame) -> None:
+        signal.signal(number, before[number])
+        if not session.stop_early():
+            raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        before[number] = signal.signal(number, stop)
+    return before
+
+
+def _restore_signals(before: dict) -> None:
+    for number, handler in before.items():
+        signal.signal(number, handler)
+

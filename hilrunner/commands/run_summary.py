@@ -1,0 +1,93 @@
+"""The end of a run in numbers: one dictionary, printed as JSON or as text."""
+
+import numpy as np
+
+from hilrunner.base import histogram_scale, records, state_layout, status
+from hilrunner.base import ring as ring_layout
+from hilrunner.base.units import M_PER_MM, PA_PER_MPA
+from hilrunner.setup.session import RunResult
+
+
+def latency_ns(ring: ring_layout.Ring) -> dict[str, dict[str, int]]:
+    """Percentiles of every histogram of the loop that has samples."""
+    return {
+        name: histogram_scale.percentiles(ring.histogram[index], ring.extreme[index])
+        for index, name in enumerate(records.HISTOGRAM_NAMES)
+        if ring.extreme[index, histogram_scale.EXTREME_COUNT] > 0
+    }
+
+
+def frame_counts(result: RunResult) -> dict[str, dict[str, int]]:
+    """Received frames by what became of them, an entry an axis and one for frames of no axis; zeros left out."""
+    names = [axis.name for axis in result.armed.loaded.profile.axis] + ["other"]
+    counts = {}
+    for name, row in zip(names, result.ring.frame_count, strict=True):
+        counts[name] = {
+            text: int(count) for text, count in zip(status.FRAME_STATUS_NAMES, row, strict=True) if count
+        }
+    return counts
+
+
+def axis_end(result: RunResult) -> list[dict]:
+    """Where every axis ended."""
+    ends = []
+    for index, axis in enumerate(result.armed.loaded.profile.axis):
+        state = result.armed.bench.state[index]
+        ends.append(
+            {
+                "name": axis.name,
+                "mode": status.MODE_NAMES[int(result.armed.bench.commands[index]["mode"])],
+                "rod_position_mm": float(state[state_layout.ROD_POSITION] / M_PER_MM),
+                "chamber_1_pressure_mpa": float(state[state_layout.CHAMBER_1_PRESSURE] / PA_PER_MPA),
+                "chamber_2_pressure_mpa": float(state[state_layout.CHAMBER_2_PRESSURE] / PA_PER_MPA),
+                "substeps": int(result.armed.bench.plant.substep_count[index]),
+            }
+        )
+    return ends
+
+
+def flag_names(bits: int) -> list[str]:
+    """Names of the state flags seen in a run."""
+    return [name for index, name in enumerate(status.FLAG_NAMES) if bits >> index & 1]
+
+
+def summarise_run(result: RunResult, exit_code: int) -> dict:
+    """Everything a person or a script asks after a run."""
+    progress = result.armed.bench.progress[0]
+    profile = result.armed.loaded.profile
+    failed = ring_layout.word(result.ring, ring_layout.WORD_CHECK_FAILED_TICK)
+    ticks = int(progress["tick_count"])
+    return {
+        "profile": profile.name,
+        "exit_code": exit_code,
+        "exit_reason": status.EXIT_NAMES[result.exit_reason],
+        "bus_error": result.bus_error,
+        "mode": result.mode,
+        "period_us": profile.bench.period_us,
+        "start_up_s": round(result.start_up_s, 3),
+        "tick_count": ticks,
+        "duration_s": round(int(progress["tick"] + 1) * profile.bench.period_us * 1e-6, 6) if ticks else 0.0,
+        "miss_count": int(progress["miss_count"]),
+        "skipped_count": int(progress["skipped_count"]),
+        "warned_count": int(progress["warned_count"]),
+        "warm_up_ticks": profile.bench.warm_up_ticks,
+        "frames_received": int(progress["frames_received"]),
+        "frames_sent": int(progress["frames_sent"]),
+        "frames_unsent": int(progress["frames_unsent"]),
+        "frames_kernel_dropped": int(result.armed.bench.inbox.overflow[0]),
+        "frames": frame_counts(result),
+        "flags": flag_names(int(progress["flags_seen"])),
+        "latency_ns": latency_ns(result.ring),
+        "axes": axis_end(result),
+        "check_failed_tick": failed - 1 if failed else None,
+        "log": str(result.log_path) if result.log_path else None,
+        "recorder": result.recorder,
+        "grants": [grant.as_dict() for grant in result.grants],
+    }
+
+
+def worst_us(latency: dict, name: str, statistic: str) -> str:
+    """One figure of the latency table in microseconds, or a dash."""
+    if name not in latency:
+        return "-"
+    return f"{np.float64(latency[name][statistic]) / 1000:.1f}"

@@ -1,0 +1,126 @@
+"""What a person sees of a run: findings at the start, one live line on a terminal, a summary at the end."""
+
+import sys
+
+from hilrunner.base import histogram_scale, records, state_layout, status
+from hilrunner.base.units import M_PER_MM, PA_PER_MPA
+from hilrunner.commands.run_summary import worst_us
+from hilrunner.setup.session import Session
+
+_WAKE = records.HISTOGRAM_NAMES.index("wake_lateness")
+
+
+def print_start(session: Session) -> None:
+    """Profile, plant, bus, rights and how long the start took."""
+    profile = session.loaded.profile
+    axes = session.axes
+    print(f"hilrunner: profile {profile.name}, {len(profile.axis)} axis, period {profile.bench.period_us} us")
+    for axis, plant, state in zip(profile.axis, axes.plants, axes.initial_states, strict=True):
+        print(
+            f"  axis {axis.name}: circuit {axis.circuit}, engine {status.ENGINE_NAMES[plant.engine]}, "
+            f"{plant.substep_count} substeps, start {state[state_layout.ROD_POSITION] / M_PER_MM:.1f} mm, "
+            f"p1 {state[state_layout.CHAMBER_1_PRESSURE] / PA_PER_MPA:.3f} MPa"
+        )
+    for report in axes.model_reports:
+        print(f"  model: {report.summary()}")
+    print(f"  bus: {session.bus.name if session.bus else 'none (stimulus)'}")
+    refused = [grant for grant in session.grants if not grant.granted]
+    print(f"  real time: {len(session.grants) - len(refused)} of {len(session.grants)} asked for were granted")
+    for grant in refused:
+        print(f"    refused: {grant.name} ({grant.reason}); remedy: {grant.remedy or 'none'}")
+    start_s = (session.start_mono_ns - session.begin_mono_ns) * 1e-9
+    print(f"  first tick {start_s:.2f} s after the command", flush=True)
+
+
+class LiveLine:
+    """One line on a terminal, rewritten in place: tick, u, x, p1, p2, lateness p99, misses."""
+
+    def __init__(self, session: Session, enabled: bool) -> None:
+        self.session = session
+        self.enabled = enabled
+        self._shown = False
+
+    def update(self) -> None:
+        """Rewrite the line from the loop's own arrays; a value may be one tick old."""
+        if not self.enabled:
+            return
+        bench = self.session.armed.bench
+        state = bench.state[0]
+        late = histogram_scale.quantile_ns(bench.ring.histogram[_WAKE], bench.ring.extreme[_WAKE], 0.99)
+        line = (
+            f"tick {int(bench.progress[0]['tick']):>9}  {status.MODE_NAMES[int(bench.commands[0]['mode'])]:<10} "
+            f"u {float(bench.commands[0]['applied']):+.3f}  x {state[state_layout.ROD_POSITION] / M_PER_MM:9.3f} mm  "
+            f"p1 {state[state_layout.CHAMBER_1_PRESSURE] / PA_PER_MPA:7.3f}  "
+            f"p2 {state[state_layout.CHAMBER_2_PRESSURE] / PA_PER_MPA:7.3f} MPa  "
+            f"late p99 {late / 1000:.0f} us  misses {int(bench.progress[0]['miss_count'])}"
+        )
+        sys.stderr.write("\r\x1b[2K" + line)
+        sys.stderr.flush()
+        self._shown = True
+
+    def close(self) -> None:
+        """Leave the terminal on a fresh line."""
+        if self._shown:
+            sys.stderr.write("\n")
+            sys.stderr.flush()
+
+
+def print_summary(summary: dict) -> None:
+    """The end of a run, for people."""
+    latency = summary["latency_ns"]
+    print(
+        f"run ended: {summary['exit_reason']}"
+        + (f" ({summary['bus_error']})" if summary["bus_error"] else "")
+        + f"; {summary['tick_count']} ticks, {summary['duration_s']:.3f} s, mode: {summary['mode']}"
+    )
+    print(
+        f"  deadlines: {summary['miss_count']} missed, {summary['skipped_count']} periods skipped "
+        f"(after {summary['warm_up_ticks']} warm-up ticks)"
+    )
+    print(f"  {'us':18s} {'p50':>9s} {'p99':>9s} {'p99.9':>9s} {'max':>9s}")
+    for name, label in (
+        ("wake_lateness", "wake-up lateness"),
+        ("execution", "execution"),
+        ("step", "  of it plant step"),
+        ("command_age", "command age"),
+        ("response", "command->response"),
+    ):
+        if name in latency:
+            figures = " ".join(f"{worst_us(latency, name, key):>9s}" for key in ("p50", "p99", "p999", "max"))
+            print(f"  {label:18s} {figures}")
+    print(
+        f"  frames: {summary['frames_received']} received, {summary['frames_sent']} sent, "
+        f"{summary['frames_unsent']} not sent, {summary['frames_kernel_dropped']} dropped by the kernel"
+    )
+    for name, counts in summary["frames"].items():
+        if counts:
+            print(f"    {name}: " + ", ".join(f"{count} {text}" for text, count in counts.items()))
+    for axis in summary["axes"]:
+        print(
+            f"  {axis['name']}: {axis['mode']}, x {axis['rod_position_mm']:.3f} mm, "
+            f"p1 {axis['chamber_1_pressure_mpa']:.3f} MPa, p2 {axis['chamber_2_pressure_mpa']:.3f} MPa"
+        )
+    if summary["flags"]:
+        print(f"  seen: {', '.join(summary['flags'])}")
+    _print_recorder(summary)
+    print(f"  exit code {summary['exit_code']}")
+
+
+def _print_recorder(summary: dict) -> None:
+    recorder = summary["recorder"]
+    if not recorder:
+        return
+    if recorder.get("error"):
+        print(f"  recorder: {': '.join(part for part in recorder['error'] if part)}")
+        return
+    print(
+        f"  log: {recorder['log_path']}, {recorder['tick_count']} ticks, {recorder['size_bytes'] / 1e6:.2f} MB, "
+        f"{recorder['dropped_ticks']} ticks dropped, {recorder['lost_bytes']} bytes lost"
+    )
+    check = recorder.get("check")
+    if check:
+        for name, figures in check.items():
+            if isinstance(figures, dict):
+                print(f"  cross-check {name}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items() if isinstance(value, (int, float))))
+    if summary["check_failed_tick"] is not None:
+        print(f"  cross-check: out of tolerance at tick {summary['check_failed_tick']}")

@@ -1,0 +1,167 @@
+"""From a checked profile to the plants of its axes: units become SI here, files are found, models are loaded."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hilrunner.base import status
+from hilrunner.base.errors import ProfileError
+from hilrunner.base.units import M_PER_MM, N_PER_KN, NS_PER_US
+from hilrunner.plant import load as plant_load
+from hilrunner.plant import wave as plant_wave
+from hilrunner.plant.parameters import make_parameters
+from hilrunner.plant.step import AxisPlant, default_substep_count, initial_state, stability_limit_s
+from hilrunner.setup import resources
+from hilrunner.setup.profile import Axis, LoadedProfile, Load
+
+
+def period_s(loaded: LoadedProfile) -> float:
+    """Loop period, s."""
+    return loaded.profile.bench.period_us * 1e-6
+
+
+@dataclass(frozen=True)
+class AxisSet:
+    """Everything about the axes of one bench that is built once."""
+
+    plants: list[AxisPlant]
+    waves: list[np.ndarray]  # heave components
+    initial_states: np.ndarray  # float64[axis, STATE_SIZE], valve neutral
+    model_reports: list[Any]  # how each trained model was understood
+
+
+def build_axes(loaded: LoadedProfile, engine: int) -> AxisSet:
+    """Plants, waves and consistent initial states of a profile for one engine; errors as in `make_axis_plants`."""
+    reports: list[Any] = []
+    plants = make_axis_plants(loaded, engine, reports)
+    waves = make_waves(loaded)
+    return AxisSet(plants, waves, initial_states(loaded, plants, waves), reports)
+
+
+def make_axis_plants(loaded: LoadedProfile, engine: int, understood: list | None = None) -> list[AxisPlant]:
+    """The plants of a profile's axes for one engine.
+
+    Args:
+        engine: status.ENGINE_*.
+        understood: if given, the ModelReport of every loaded model is appended.
+
+    Raises:
+        ProfileError: parameters, load or substeps are impossible. ModelError: the trained model is refused.
+    """
+    return [_axis_plant(loaded, index, engine, understood) for index in range(len(loaded.profile.axis))]
+
+
+def reference_plants(loaded: LoadedProfile) -> list[AxisPlant]:
+    """The first-principle plants beside the surrogate's: cross-check and replay."""
+    return make_axis_plants(loaded, status.ENGINE_REFERENCE)
+
+
+def initial_states(loaded: LoadedProfile, plants: list[AxisPlant], waves: list[np.ndarray]) -> np.ndarray:
+    """Consistent states before the first tick, valve neutral: float64[axis, STATE_SIZE]."""
+    rows = []
+    for axis, plant, wave in zip(loaded.profile.axis, plants, waves, strict=True):
+        scale = plant_wave.load_scale(wave, 0.0)
+        rows.append(initial_state(plant, axis.initial_position_mm * M_PER_MM, 0.0, float(scale)))
+    return np.array(rows)
+
+
+def make_waves(loaded: LoadedProfile) -> list[np.ndarray]:
+    """Heave components of every axis; an empty array where the profile has no wave."""
+    waves = []
+    for axis in loaded.profile.axis:
+        if axis.wave is None:
+            waves.append(plant_wave.no_wave())
+        else:
+            waves.append(
+                plant_wave.heave_components(
+                    axis.wave.significant_height_m, axis.wave.peak_period_s, axis.wave.seed
+                )
+            )
+    return waves
+
+
+def _axis_plant(loaded: LoadedProfile, index: int, engine: int, understood: list | None) -> AxisPlant:
+    axis = loaded.profile.axis[index]
+    place = f"{loaded.path}: axis[{index}]"
+    try:
+        parameters = make_parameters(axis.preset, axis.parameters)
+    except ProfileError as error:
+        raise ProfileError(f"{place}.{error.place}", error.problem, error.limit, error.remedy) from error
+    plant = AxisPlant(
+        circuit=status.CIRCUIT_NAMES.index(axis.circuit),
+        engine=engine,
+        fast=axis.reference == "fast",
+        parameters=parameters,
+        load=_load_table(axis.load, place),
+        substep_count=1,
+        networks=None,
+    )
+    if engine != status.ENGINE_REFERENCE:
+        plant = replace(plant, networks=_networks(loaded, axis, place, engine, parameters, understood))
+    return replace(plant, substep_count=_substeps(loaded, axis, plant, place))
+
+
+def _networks(loaded: LoadedProfile, axis: Axis, place: str, engine: int, parameters, understood: list | None):
+    from hilrunner.setup.model import load_model
+
+    if axis.model is None:
+        raise ProfileError(
+            f"{place}.model", "missing", remedy="name a trained model, or run with --engine reference"
+        )
+    networks, report = load_model(
+        find_file(loaded.path, axis.model, resources.models_folder()),
+        circuit=axis.circuit,
+        parameters=parameters,
+        in_loop=engine == status.ENGINE_ONNX,
+    )
+    if understood is not None:
+        understood.append(report)
+    return networks
+
+
+def find_file(profile_path: Path, name: str, shipped_folder: Path) -> Path:
+    """A file named by a profile: relative to the profile, by its bare name beside it (unpacked logs), or among what ships."""
+    for candidate in (profile_path.parent / name, profile_path.parent / Path(name).name):
+        if candidate.is_file():
+            return candidate
+    return shipped_folder / name
+
+
+def _substeps(loaded: LoadedProfile, axis: Axis, plant: AxisPlant, place: str) -> int:
+    """Chosen substeps, or the profile's, refused when RK4 would be unstable with them."""
+    period = period_s(loaded)
+    surrogate = plant.engine != status.ENGINE_REFERENCE
+    wanted = axis.surrogate_substeps if surrogate else axis.reference_substeps
+    if wanted == 0:
+        return default_substep_count(plant, period)
+    limit_s = stability_limit_s(plant)
+    if period / wanted > limit_s:
+        key = "surrogate_substeps" if surrogate else "reference_substeps"
+        raise ProfileError(
+            f"{place}.{key}",
+            f"{wanted} substeps of {period / wanted * 1e6:.1f} us are unstable for RK4",
+            limit=f"steps up to {limit_s * 1e6:.1f} us, so at least {int(np.ceil(period / limit_s))} substeps",
+            remedy="raise it, or 0 to let hilrunner choose",
+        )
+    return wanted
+
+
+def _load_table(load: Load, place: str) -> plant_load.LoadTable:
+    if load.kind == "constant":
+        table = plant_load.constant(load.force_kn * N_PER_KN)
+    elif load.kind == "table":
+        table = plant_load.from_table(
+            np.array(load.position_mm) * M_PER_MM, np.array(load.table_force_kn) * N_PER_KN
+        )
+    else:
+        table = plant_load.knuckle_boom(with_mass=load.equivalent_mass)
+    if load.perturbation_std_ratio > 0:
+        table = plant_load.perturbed(table, load.perturbation_std_ratio, load.perturbation_seed)
+    return table
+
+
+def period_ns(loaded: LoadedProfile) -> int:
+    """Loop period, ns."""
+    return loaded.profile.bench.period_us * NS_PER_US

@@ -1,0 +1,88 @@
+"""What a log must carry to be repeated and believed: metadata tables and the profile, DBC and models as attachments.
+
+A replay rebuilds the bench from these attachments alone: file names are kept, so that the profile finds its DBC and models
+beside itself in any folder they are unpacked to.
+"""
+
+import hashlib
+import json
+import subprocess
+import sys
+from importlib import metadata as package_metadata
+from pathlib import Path
+
+import hilrunner
+from hilrunner.base import compiled, status
+from hilrunner.record.config import Attachment
+from hilrunner.setup import host, resources
+from hilrunner.setup.arm import model_paths
+from hilrunner.setup.axes import find_file
+from hilrunner.setup.profile import LoadedProfile
+
+PROFILE_ATTACHMENT = "profile.toml"
+_PACKAGES = ("numpy", "numba", "llvmlite", "python-can", "onnxruntime", "mcap")
+
+
+def run_metadata(loaded: LoadedProfile, engine: int, grants: list, report: host.HostReport | None) -> dict:
+    """The tables `run` and `host`, all values text."""
+    profile = loaded.profile
+    run = {
+        "hilrunner_version": hilrunner.__version__,
+        "git_revision": git_revision(),
+        "compiled_source_hash": compiled.source_hash(),
+        "python_version": sys.version.split()[0],
+        **{f"{name}_version": package_metadata.version(name) for name in _PACKAGES},
+        "profile_name": profile.name,
+        "profile_sha256": hashlib.sha256(loaded.text.encode()).hexdigest(),
+        "engine": status.ENGINE_NAMES[engine],
+        "period_ns": profile.bench.period_us * 1000,
+        "overrun": profile.bench.overrun,
+        "axis_names": ",".join(axis.name for axis in profile.axis),
+        "wave_seeds": ",".join(str(axis.wave.seed) if axis.wave else "-" for axis in profile.axis),
+        "load_seeds": ",".join(str(axis.load.perturbation_seed) for axis in profile.axis),
+        "can_bitrate": profile.can.bitrate,
+        **{f"sha256:{one.name}": _sha256(Path(one.path)) for one in run_attachments(loaded, engine) if one.path},
+    }
+    tables = {"run": {key: str(value) for key, value in run.items()}}
+    if report is None:
+        tables["host"] = {"mode_label": host.mode_label([], [], simulated_clock=True)}
+        return tables
+    tables["host"] = {
+        # judged again by the report when the misses of the run are known
+        "mode_label": host.mode_label(grants, report.findings),
+        "mode_reasons": "; ".join(host.mode_reasons(grants, report.findings)),
+        **report.facts,
+        "findings": json.dumps([finding.as_dict() for finding in report.findings]),
+        "grants": json.dumps([grant.as_dict() for grant in grants]),
+    }
+    return tables
+
+
+def run_attachments(loaded: LoadedProfile, engine: int) -> list[Attachment]:
+    """Profile, DBC, trained models and their data sheets."""
+    dbc = find_file(loaded.path, loaded.profile.can.dbc, resources.firmware_interface_folder())
+    found = [
+        Attachment(PROFILE_ATTACHMENT, "application/toml", text=loaded.text),
+        Attachment(Path(loaded.profile.can.dbc).name, "text/plain", path=str(dbc)),
+    ]
+    names = dict.fromkeys(axis.model for axis in loaded.profile.axis if axis.model)
+    if engine != status.ENGINE_REFERENCE:
+        for name, path in zip(names, model_paths(loaded), strict=True):
+            found.append(Attachment(Path(name).name, "application/onnx", path=str(path)))
+    return found
+
+
+def git_revision() -> str:
+    """Commit of the source tree this runs from, with `+` when it has changes; `release` for an installed package."""
+    root = Path(hilrunner.__file__).resolve().parent.parent
+    if not (root / ".git").exists():
+        return "release"
+    try:
+        words = ["git", "-C", str(root), "describe", "--always", "--dirty=+", "--abbrev=12", "--exclude=*"]
+        return subprocess.run(words, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

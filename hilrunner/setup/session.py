@@ -1,0 +1,273 @@
+"""One run from profile to closed log: open the bus, start the recorder, arm, ask for real time, run the loop, end cleanly.
+
+The loop runs on a thread of its own that never needs the interpreter; this thread only watches: signals, the live line, the
+recorder. Order matters: rights first (nothing later may page), recorder and arming side by side, clock last.
+"""
+
+import contextlib
+import os
+import pickle
+import signal
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from hilrunner.base import ring as ring_layout
+from hilrunner.base import status
+from hilrunner.base.units import M_PER_MM, NS_PER_S, PA_PER_MPA
+from hilrunner.realtime.loop import NO_BUS, run_loop
+from hilrunner.realtime.miss import open_schedstat
+from hilrunner.record import launch
+from hilrunner.record.config import CheckConfig, RecorderConfig
+from hilrunner.setup import host
+from hilrunner.setup.arm import Armed, arm, local_ring, ring_shape
+from hilrunner.setup.axes import AxisSet, build_axes, period_ns, reference_plants
+from hilrunner.setup.bus import OpenBus, errno_text, open_bus
+from hilrunner.setup.profile import LoadedProfile
+from hilrunner.setup.run_manifest import run_attachments, run_metadata
+
+_START_DELAY_NS = 20_000_000  # from "everything is ready" to the deadline of tick 0
+_FOREVER = 1 << 62
+_RECORDER_WAIT_S = 60.0
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What the command line asks for."""
+
+    engine: int = status.ENGINE_SURROGATE
+    interface: str = "socketcan"
+    channel: str | None = None  # None: no bus, a stimulus drives the run
+    bitrate: int | None = None
+    fd: bool = False
+    duration_s: float | None = None
+    log_path: Path | None = None  # None: no log
+    stimulus: np.ndarray | None = None
+    overrun: str | None = None
+    spin_us: int | None = None
+    live_port: int | None = None
+    require_realtime: bool = False
+    realtime: host.RealtimeOptions = field(default_factory=host.RealtimeOptions)
+
+
+@dataclass
+class RunResult:
+    """What is known when a run has ended."""
+
+    exit_reason: int
+    armed: Armed
+    ring: ring_layout.Ring
+    recorder: dict  # the recorder's summary; empty without one
+    grants: list
+    host_report: object
+    mode: str
+    start_up_s: float  # from the call to the deadline of tick 0
+    bus_error: str = ""
+    log_path: Path | None = None
+
+
+class Session:
+    """One run; `start`, then `running` until False, then `finish`."""
+
+    def __init__(self, loaded: LoadedProfile, options: RunOptions, begin_mono_ns: int | None = None) -> None:
+        self.loaded = loaded
+        self.options = options
+        self.begin_mono_ns = time.monotonic_ns() if begin_mono_ns is None else begin_mono_ns
+        self.bus: OpenBus | None = None
+        self.recorder: launch.RecorderHandle | None = None
+        self.grants: list = []
+        self.host_report: host.HostReport | None = None
+        self.exit_reason = status.EXIT_RUNNING
+        self.start_mono_ns = 0
+        self.axes: AxisSet
+        self.armed: Armed
+        self.ring: ring_layout.Ring
+        self._block: launch.RingBlock | None = None
+        self._go = threading.Event()
+        self._rights_known = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._failure: BaseException | None = None
+        self._cancelled = False
+        self.schedstat_fd = -1
+
+    def start(self) -> None:
+        """Everything before tick 0, then let the clock run; raises HilrunnerError with nothing left behind."""
+        try:
+            self._prepare()
+        except BaseException:
+            self._abandon()
+            raise
+        self._go.set()
+
+    def _prepare(self) -> None:
+        options = self.options
+        if options.channel is not None:
+            self.bus = open_bus(options.interface, options.channel, options.bitrate, options.fd)
+        shape = ring_shape(self.loaded)
+        if options.log_path is None and options.live_port is None and not self.loaded.profile.crosscheck.enabled:
+            self.ring = local_ring(shape)
+        else:
+            self._block, self.ring = launch.create_ring(shape)
+        self._thread = threading.Thread(target=self._run, name="hilrunner-loop", daemon=True)
+        self._thread.start()
+        self._rights_known.wait()
+        if self._failure is not None:
+            raise self._failure
+        if options.require_realtime:
+            host.require_realtime(self.grants, self.host_report.findings)
+        self.axes = build_axes(self.loaded, options.engine)
+        if self._block is not None:
+            self.recorder = launch.start_recorder(self._recorder_config(shape), self.ring)
+        self.armed = arm(
+            self.loaded,
+            self.axes,
+            self.ring,
+            record=self.recorder is not None,
+            stimulus=options.stimulus,
+            spin_ns=None if options.spin_us is None else options.spin_us * 1000,
+            overrun=options.overrun,
+            schedstat_fd=self.schedstat_fd,
+        )
+        # compile (or load from the cache) and page everything in: a loop of no ticks
+        run_loop(self.armed.bench, NO_BUS, 0, 0)
+        if self.recorder is not None:
+            self.recorder.wait_ready(_RECORDER_WAIT_S)
+        self._drain_stale_frames()
+        self.start_mono_ns = time.monotonic_ns() + _START_DELAY_NS
+        self._store(ring_layout.WORD_PERIOD_NS, period_ns(self.loaded))
+        self._store(ring_layout.WORD_START_MONO_NS, self.start_mono_ns)
+        self._store(ring_layout.WORD_START_REAL_NS, self.start_mono_ns + time.time_ns() - time.monotonic_ns())
+
+    def _drain_stale_frames(self) -> None:
+        """What arrived before tick 0 belongs to no tick (python-can binds before it filters)."""
+        if self.bus is not None:
+            with contextlib.suppress(BlockingIOError):
+                while os.read(self.bus.descriptor, 128):
+                    pass
+
+    def _run(self) -> None:
+        """The loop's thread: ask for rights, wait for the word, run."""
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGTERM})
+        try:
+            self.grants = host.enter_realtime(self.options.realtime)
+            self.host_report = host.inspect_host(
+                self.options.channel if self.options.interface == "socketcan" else None,
+                period_ns=period_ns(self.loaded),
+                probe_s=0.1,
+            )
+            self.schedstat_fd = open_schedstat()
+        except BaseException as error:
+            self._failure = error
+        finally:
+            self._rights_known.set()
+        self._go.wait()
+        if self._cancelled or self._failure is not None:
+            return
+        descriptor = self.bus.descriptor if self.bus is not None else NO_BUS
+        limit = _FOREVER
+        if self.options.duration_s is not None:
+            limit = int(round(self.options.duration_s * NS_PER_S / period_ns(self.loaded)))
+        try:
+            self.exit_reason = int(run_loop(self.armed.bench, descriptor, self.start_mono_ns, limit))
+        finally:
+            host.leave_realtime(self.grants)
+
+    def running(self, timeout_s: float) -> bool:
+        """Wait up to `timeout_s` for the loop to end; True while it runs."""
+        self._thread.join(timeout_s)
+        return self._thread.is_alive()
+
+    def request_stop(self) -> None:
+        """End after the current tick; safe in a signal handler."""
+        self._store(ring_layout.WORD_STOP_REQUEST, 1)
+
+    def stop_early(self) -> bool:
+        """`request_stop` if the clock runs; False when there is nothing to stop yet."""
+        if not self._go.is_set():
+            return False
+        self.request_stop()
+        return True
+
+    def finish(self) -> RunResult:
+        """After the loop has ended: close bus and log, collect what is known."""
+        self._thread.join()
+        bus_error = self._bus_error()
+        self._store(ring_layout.WORD_EXIT_REASON, self.exit_reason)
+        summary = self.recorder.finish(_RECORDER_WAIT_S) if self.recorder is not None else {}
+        if self.bus is not None:
+            self.bus.close()
+        if self._block is not None:
+            self._block.close()
+        late = int(self.armed.bench.progress[0]["miss_count"])
+        return RunResult(
+            exit_reason=self.exit_reason,
+            armed=self.armed,
+            ring=self.ring,
+            recorder=summary,
+            grants=self.grants,
+            host_report=self.host_report,
+            mode=host.mode_label(self.grants, self.host_report.findings, late_ticks=late),
+            start_up_s=(self.start_mono_ns - self.begin_mono_ns) / NS_PER_S,
+            bus_error=bus_error,
+            log_path=self.options.log_path,
+        )
+
+    def _bus_error(self) -> str:
+        number = int(self.armed.bench.progress[0]["bus_errno"])
+        if number == 0:
+            return ""
+        if self.bus is not None and self.bus.lost:
+            return self.bus.lost
+        return errno_text(number)
+
+    def _abandon(self) -> None:
+        """Undo a start that failed: no thread, no recorder, no half-written log."""
+        self._cancelled = True
+        self._go.set()
+        if self.recorder is not None:
+            self.recorder.process.kill()
+            self.recorder.process.wait()
+            if self.options.log_path is not None:
+                self.options.log_path.unlink(missing_ok=True)
+        if self._thread is not None:
+            self._thread.join(timeout=5.0)
+        if self.bus is not None:
+            self.bus.close()
+
+    def _store(self, word: int, value: int) -> None:
+        self.ring.header[word * ring_layout.HEADER_STRIDE] = value
+
+    def _recorder_config(self, shape: ring_layout.RingShape) -> RecorderConfig:
+        return RecorderConfig(
+            ring_fd=self._block.fd,
+            ring_shape=list(shape),
+            axis_names=[axis.name for axis in self.loaded.profile.axis],
+            period_ns=period_ns(self.loaded),
+            parent_pid=os.getpid(),
+            log_path=str(self.options.log_path) if self.options.log_path else None,
+            metadata=run_metadata(self.loaded, self.options.engine, self.grants, self.host_report),
+            attachments=run_attachments(self.loaded, self.options.engine),
+            live_port=self.options.live_port,
+            check=self._check_config(),
+        )
+
+    def _check_config(self) -> CheckConfig | None:
+        rules = self.loaded.profile.crosscheck
+        if not rules.enabled:
+            return None
+        handle, path = tempfile.mkstemp(prefix="hilrunner-check-", suffix=".pickle")
+        with os.fdopen(handle, "wb") as file:
+            pickle.dump(reference_plants(self.loaded), file)
+        return CheckConfig(
+            axis_plants_path=path,
+            initial_states=self.axes.initial_states.tolist(),
+            pressure_tolerance_pa=rules.pressure_tolerance_mpa * PA_PER_MPA,
+            position_tolerance_m=rules.position_tolerance_mm * M_PER_MM,
+            one_step_pressure_tolerance_pa=rules.one_step_pressure_tolerance_mpa * PA_PER_MPA,
+            one_step_decimation=rules.every_n_ticks,
+            record_decimation=rules.every_n_ticks,
+        )
