@@ -24,7 +24,9 @@ def advance_lift(prm, load, load_scale, valve_command, period_s, count, fast, st
     if fast:
         y6 = (state[0], state[1], state[2], state[3], state[4], state[5])
         y6, lines = _lift_mass_free(context, y6, lines, period_s / count, count)
-        store_mass_free_lift(context, exact_lines_at, y6, lines, state)
+        line_a, line_b, _, _, worst = exact_lines_at(context, y6[2], y6[3], y6[4], y6[5], lines)
+        store_mass_free_lift(prm, y6, line_a, line_b, state)
+        lines = (line_a, line_b, worst)
     else:
         y = (state[0], state[1], state[2], state[3], state[4], state[5], state[6], state[7])
         y, lines = _lift(context, y, lines, period_s / count, count)
@@ -37,17 +39,15 @@ def advance_lift(prm, load, load_scale, valve_command, period_s, count, fast, st
 
 
 @hot
-def store_mass_free_lift(context, lines_at, y, lines, state):
-    """Write six states and the four quantities they imply (spool speeds, line pressures) into an axis' state."""
-    prm = context[0]
-    line_a, line_b, _, _, _ = lines_at(context, y[2], y[3], y[4], y[5], lines)
+def store_mass_free_lift(prm, y, line_a_pa, line_b_pa, state):
+    """Write six states, the line pressures and the spool speeds these imply into an axis' state."""
     state[0], state[1], state[2], state[3] = y[0], y[1], y[2], y[3]
     state[4], state[5] = y[4], y[5]
-    force_1 = opening_force(prm, line_b, y[2], line_a, prm["setting_1_pa"])
-    force_2 = opening_force(prm, line_a, y[3], line_b, prm["setting_2_pa"])
+    force_1 = opening_force(prm, line_b_pa, y[2], line_a_pa, prm["setting_1_pa"])
+    force_2 = opening_force(prm, line_a_pa, y[3], line_b_pa, prm["setting_2_pa"])
     state[6] = mass_free_spool_speed(prm, force_1, y[4])
     state[7] = mass_free_spool_speed(prm, force_2, y[5])
-    state[8], state[9] = line_a, line_b
+    state[8], state[9] = line_a_pa, line_b_pa
 
 
 @hot
