@@ -1,0 +1,268 @@
+"""An MCAP file read from front to end, in any state: whole, unfinished, cut, damaged.
+
+The file is read in windows; runs of messages are noted by the compiled walk, also at top level (files without chunks),
+chunks are unpacked into a batch, so that Python works per batch and not per message. Memory: one window and one batch.
+"""
+
+import struct
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from hilrunner.base.errors import LogError
+from hilrunner.evidence import mcap_walk
+from hilrunner.evidence.chunk import read_chunk
+from hilrunner.evidence.mcap_window import Window
+
+MAGIC = b"\x89MCAP0\r\n"
+BATCH_BYTES = 8 << 20
+BATCH_MESSAGES = 1 << 17
+_DAMAGE_NOTES_MAX = 20
+_TOP_LEVEL = frozenset(range(0x01, 0x10))  # opcodes of the format
+_U64 = struct.Struct("<Q")
+
+
+@dataclass
+class Contents:
+    """What a scan collects beside the messages."""
+
+    schemas: dict[int, tuple[str, str, str]] = field(default_factory=dict)  # id -> name, encoding, text
+    channels: dict[int, tuple[str, int, str]] = field(default_factory=dict)  # id -> topic, schema id, encoding
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, tuple[str, bytes]] = field(default_factory=dict)  # name -> media type, data
+    library: str = ""
+    finished: bool = False
+    damage: list[str] = field(default_factory=list)
+    damage_count: int = 0
+
+    def note(self, text: str) -> None:
+        """Remember a damage; the first ones word by word, the rest as a count."""
+        self.damage_count += 1
+        if len(self.damage) < _DAMAGE_NOTES_MAX:
+            self.damage.append(text)
+
+
+Batch = Callable[[np.ndarray, np.ndarray], None]  # (buffer u1, messages MESSAGE)
+
+
+def scan(path: str | Path, on_batch: Batch) -> Contents:
+    """Read the whole file; `on_batch(buffer, messages)` gets every run of messages, in file order.
+
+    Channels of a batch's messages are in the returned object's `channels` before the batch is handed over; the object is
+    the one `on_batch` can see through `Scanner.contents`. Raises LogError when the file cannot be read or is no MCAP file.
+    """
+    return Scanner(path, on_batch).run()
+
+
+class Scanner:
+    """One pass over one file."""
+
+    def __init__(self, path: str | Path, on_batch: Batch) -> None:
+        self.path = Path(path)
+        self.contents = Contents()
+        self._on_batch = on_batch
+        self._messages = np.zeros(BATCH_MESSAGES, mcap_walk.MESSAGE)
+        self._batch = np.empty(BATCH_BYTES, np.uint8)
+        self._batch_size = 0
+        self._window: Window | None = None
+        self._segments: list[tuple[int, int, int]] = []  # start, end in the batch; offset of the chunk in the file
+
+    def run(self) -> Contents:
+        """See `scan`."""
+        try:
+            with open(self.path, "rb", buffering=0) as file:
+                self._check_magic(file)
+                self._scan(file)
+        except OSError as error:
+            raise LogError(str(self.path), f"cannot be read: {error.strerror or error}", remedy="name a log") from None
+        self._flush()
+        return self.contents
+
+    def read_ratio(self) -> float:
+        """How much of the file has been taken, 0..1."""
+        if self._window is None or not self._window.size:
+            return 1.0
+        return self._window.file_offset / self._window.size
+
+    def _check_magic(self, file) -> None:
+        head = file.read(len(MAGIC))
+        if not head:
+            raise LogError(
+                str(self.path), "empty file (0 bytes)", "an MCAP log", "the run wrote nothing: look at its messages"
+            )
+        if head != MAGIC:
+            kind = f"cut off after {len(head)} bytes" if MAGIC.startswith(head) else f"begins with {head!r}"
+            raise LogError(
+                str(self.path), f"not an MCAP file: {kind}", f"a file that begins with {MAGIC!r}", "name a log"
+            )
+
+    def _scan(self, file) -> None:
+        window = self._window = Window(file, len(MAGIC))
+        while window.remaining:
+            place = window.file_offset
+            buffer, start, end, size = window.view_record()
+            opcode = int(buffer[start])
+            if size < 0:  # the record, or its header, reaches past the end of the file
+                self._take_cut(buffer, start, end, place)
+                if not self._resume(window, place):
+                    break
+            elif opcode == mcap_walk.OPCODE_MESSAGE:
+                stop = self._take_messages(buffer, start, end)
+                if stop > start:
+                    window.consume(stop - start)
+                elif not self._skip_damage(window, place):
+                    break
+            elif opcode == 0:
+                if not self._skip_damage(window, place):
+                    break
+            else:
+                content = memoryview(buffer)[start + mcap_walk.RECORD_HEADER_BYTES : start + size]
+                self._take_record(opcode, content, False, place)
+                window.consume(size)
+                if opcode == mcap_walk.OPCODE_DATA_END:
+                    break
+        if not self.contents.finished:
+            self.contents.note(f"not finished: the file ends at byte {window.size} without its end mark")
+        elif not window.ends_with(MAGIC):
+            self.contents.note("the summary at the end is cut off; the data before it is whole")
+
+    def _take_messages(self, buffer: np.ndarray, start: int, end: int) -> int:
+        """Top-level messages, handed over at once; returns the position after them."""
+        self._flush()
+        _, stop, count = mcap_walk.walk(buffer, start, end, self._messages, 0)
+        if count:
+            self._on_batch(buffer, self._messages[:count])
+        return stop
+
+    def _take_cut(self, buffer: np.ndarray, start: int, end: int, place: int) -> None:
+        """What a record without its end still gives."""
+        if int(buffer[start]) not in _TOP_LEVEL:
+            self.contents.note(f"damaged at byte {place}: no record begins there")
+            return
+        content = memoryview(buffer)[min(start + mcap_walk.RECORD_HEADER_BYTES, end) : end]
+        self.contents.note(f"cut off at byte {place + end - start}, inside a record that begins at byte {place}")
+        self._take_record(int(buffer[start]), content, True, place)
+
+    def _skip_damage(self, window: "Window", place: int) -> bool:
+        self.contents.note(f"damaged at byte {place}: no record begins there")
+        return self._resume(window, place)
+
+    def _resume(self, window: "Window", place: int) -> bool:
+        """Go on at the next chunk that can be recognised; False when there is none."""
+        found = window.find_chunk(place + 1)
+        if found < 0:
+            return False
+        self.contents.note(f"reading goes on with the chunk at byte {found}")
+        window.move_to(found)
+        return True
+
+    def _take_record(self, opcode: int, data: memoryview, is_cut: bool, place: int) -> None:
+        if opcode == mcap_walk.OPCODE_CHUNK:
+            self._take_chunk(data, is_cut, place)
+            return
+        if opcode == mcap_walk.OPCODE_DATA_END:
+            self.contents.finished = not is_cut
+            return
+        if is_cut:
+            return
+        try:
+            _take_definition(self.contents, opcode, data)
+        except (struct.error, UnicodeDecodeError, ValueError):
+            self.contents.note(f"a record (opcode {opcode}) at byte {place} is damaged and was left out")
+
+    def _take_chunk(self, data: memoryview, is_cut: bool, place: int) -> None:
+        chunk = read_chunk(data, is_cut)
+        if chunk.damage:
+            self.contents.note(f"at byte {place}: {chunk.damage}")
+        size = len(chunk.content)
+        if self._batch_size + size > len(self._batch):
+            self._flush()
+            if size > len(self._batch):
+                self._batch = np.empty(size, np.uint8)
+        start = self._batch_size
+        self._batch[start : start + size] = np.frombuffer(chunk.content, np.uint8)
+        self._batch_size += size
+        self._segments.append((start, start + size, -1 if is_cut or chunk.damage else place))
+
+    def _flush(self) -> None:
+        """Walk the batched chunks and hand their messages over."""
+        count = 0
+        for start, end, place in self._segments:
+            position = start
+            while position < end:
+                code, position, count = mcap_walk.walk(self._batch, position, end, self._messages, count)
+                if code == mcap_walk.WALK_FULL:
+                    self._hand_over(count)
+                    count = 0
+                elif code == mcap_walk.WALK_STOPPED:
+                    position, count = self._take_inner(position, end, count)
+                elif code == mcap_walk.WALK_CUT:
+                    if place >= 0:
+                        self.contents.note(f"the chunk at byte {place} ends inside a record")
+                    break
+        self._hand_over(count)
+        self._segments.clear()
+        self._batch_size = 0
+
+    def _hand_over(self, count: int) -> None:
+        if count:
+            self._on_batch(self._batch, self._messages[:count])
+
+    def _take_inner(self, position: int, end: int, count: int) -> tuple[int, int]:
+        """A schema, a channel or an unknown record within a chunk; returns (next position, messages still noted)."""
+        opcode = int(self._batch[position])
+        (length,) = _U64.unpack_from(self._batch[position + 1 : position + 9].tobytes())
+        content = position + mcap_walk.RECORD_HEADER_BYTES
+        if length > end - content or opcode == mcap_walk.OPCODE_MESSAGE or opcode == 0:
+            return end, count
+        try:
+            _take_definition(self.contents, opcode, memoryview(self._batch)[content : content + length])
+        except (struct.error, UnicodeDecodeError, ValueError):
+            self.contents.note("a record inside a chunk is damaged and was left out")
+        return content + length, count
+
+
+def _take_definition(contents: Contents, opcode: int, data: memoryview) -> None:
+    """Schemas, channels, metadata, attachments and the header; any other record is passed over."""
+    if opcode == mcap_walk.OPCODE_SCHEMA:
+        (number,) = struct.unpack_from("<H", data)
+        name, place = _text(data, 2)
+        encoding, place = _text(data, place)
+        (size,) = struct.unpack_from("<I", data, place)
+        contents.schemas[number] = (name, encoding, bytes(data[place + 4 : place + 4 + size]).decode("utf-8"))
+    elif opcode == mcap_walk.OPCODE_CHANNEL:
+        number, schema = struct.unpack_from("<HH", data)
+        topic, place = _text(data, 4)
+        contents.channels[number] = (topic, schema, _text(data, place)[0])
+    elif opcode == mcap_walk.OPCODE_METADATA:
+        name, place = _text(data, 0)
+        contents.metadata.setdefault(name, {}).update(_text_map(data, place))
+    elif opcode == mcap_walk.OPCODE_ATTACHMENT:
+        name, place = _text(data, 16)
+        media_type, place = _text(data, place)
+        (size,) = _U64.unpack_from(data, place)
+        if size > len(data) - place - 8:
+            raise ValueError("attachment longer than its record")
+        contents.attachments[name] = (media_type, bytes(data[place + 8 : place + 8 + size]))
+    elif opcode == 0x01:
+        contents.library = _text(data, _text(data, 0)[1])[0]
+
+
+def _text(data: memoryview, place: int) -> tuple[str, int]:
+    (size,) = struct.unpack_from("<I", data, place)
+    end = place + 4 + size
+    if end > len(data):
+        raise ValueError("text longer than its record")
+    return bytes(data[place + 4 : end]).decode("utf-8"), end
+
+
+def _text_map(data: memoryview, place: int) -> Iterator[tuple[str, str]]:
+    (size,) = struct.unpack_from("<I", data, place)
+    place += 4
+    end = place + size
+    while place < end:
+        key, place = _text(data, place)
+        value, place = _text(data, place)
+        yield key, value

@@ -1,0 +1,110 @@
+"""A moving window over an MCAP file: the next whole record, and the next recognisable chunk after damage."""
+
+import struct
+
+import numpy as np
+
+from hilrunner.evidence import mcap_walk
+
+WINDOW_BYTES = 8 << 20
+_SEARCH_BYTES = 1 << 20
+_CHUNK_NAMES = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
+_NAME_OFFSET = mcap_walk.RECORD_HEADER_BYTES + 28  # of the compression's name in a chunk record
+_U64 = struct.Struct("<Q")
+
+
+class Window:
+    """Reads `file` (unbuffered, binary) from `offset` on."""
+
+    def __init__(self, file, offset: int) -> None:
+        self._file = file
+        self.size = file.seek(0, 2)
+        self._buffer = np.empty(WINDOW_BYTES, np.uint8)
+        self.move_to(offset)
+
+    @property
+    def remaining(self) -> int:
+        """Bytes of the file from the current place on."""
+        return self.size - self.file_offset
+
+    def move_to(self, offset: int) -> None:
+        """Go on reading at `offset`."""
+        self._file.seek(offset)
+        self._start = 0
+        self._end = 0
+        self.file_offset = offset
+
+    def consume(self, count: int) -> None:
+        """Move on by `count` bytes."""
+        self._start += count
+        self.file_offset += count
+
+    def view_record(self) -> tuple[np.ndarray, int, int, int]:
+        """(buffer, start, end, size of the record at `start`); size -1: the file ends before the record does."""
+        header = mcap_walk.RECORD_HEADER_BYTES
+        self._need(header)
+        if self.remaining < header:
+            return self._buffer, self._start, self._end, -1
+        (length,) = _U64.unpack_from(self._buffer[self._start + 1 : self._start + header].tobytes())
+        if length > self.remaining - header:
+            self._need(min(self.remaining, _LARGEST_CUT_BYTES))
+            return self._buffer, self._start, self._end, -1
+        self._need(header + length)
+        return self._buffer, self._start, self._end, header + length
+
+    def ends_with(self, mark: bytes) -> bool:
+        """The file's last bytes are `mark`; moves the file, so only for the end of a scan."""
+        self._file.seek(max(0, self.size - len(mark)))
+        return self._file.read(len(mark)) == mark
+
+    def find_chunk(self, offset: int) -> int:
+        """File offset of the next compressed chunk from `offset` on whose header agrees with itself; -1: none."""
+        position = offset
+        while position < self.size:
+            self._file.seek(position)
+            data = self._file.read(_SEARCH_BYTES)
+            for hit in _hits(data):
+                start = position + hit - _NAME_OFFSET
+                if start >= offset and self._is_chunk(start):
+                    return start
+            if position + len(data) >= self.size or not data:
+                break
+            position += max(1, len(data) - len(_CHUNK_NAMES[0]) + 1)
+        return -1
+
+    def _is_chunk(self, start: int) -> bool:
+        self._file.seek(start)
+        head = self._file.read(_NAME_OFFSET + 16)
+        if len(head) < _NAME_OFFSET + 16 or head[0] != mcap_walk.OPCODE_CHUNK:
+            return False
+        (length,) = _U64.unpack_from(head, 1)
+        (name_size,) = struct.unpack_from("<I", head, _NAME_OFFSET)
+        (packed_size,) = _U64.unpack_from(head, _NAME_OFFSET + 4 + name_size)
+        return length == 28 + 4 + name_size + 8 + packed_size
+
+    def _need(self, least: int) -> None:
+        if self._end - self._start >= min(least, self.remaining):
+            return
+        kept = self._buffer[self._start : self._end].copy()
+        if least > len(self._buffer):
+            self._buffer = np.empty(least, np.uint8)
+        self._buffer[: len(kept)] = kept
+        self._start, self._end = 0, len(kept)
+        while self._end < len(self._buffer):
+            count = self._file.readinto(memoryview(self._buffer)[self._end :])
+            if not count:
+                break
+            self._end += count
+
+
+_LARGEST_CUT_BYTES = 64 << 20  # of a record without its end, that much is looked at
+
+
+def _hits(data: bytes) -> list[int]:
+    places = []
+    for name in _CHUNK_NAMES:
+        place = data.find(name)
+        while place >= 0:
+            places.append(place)
+            place = data.find(name, place + 1)
+    return sorted(places)

@@ -1,0 +1,306 @@
+"""A run read from its log: whole topics as arrays of our records, whatever state the log is in.
+
+    run = read_run("runs/x.mcap")
+    run.tick["wake_mono_ns"] - run.tick["deadline_mono_ns"]
+    run.state["lift"]["rod_position_m"]
+
+`columns` bounds memory: a report over an hour at 1 kHz asks for the columns it needs and nothing else is kept.
+"""
+
+import fnmatch
+import re
+import struct
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hilrunner.base import records
+from hilrunner.base.errors import LogError
+from hilrunner.evidence import mcap_walk, schema
+from hilrunner.evidence.mcap_scan import Contents, Scanner
+
+_LEAD = records.MESSAGE_OFFSET
+_SPARE_ROWS = 1024
+_SPARE_RATIO = 1.05
+_LARGEST_GROWTH = 4096.0
+_EVENTS_MAX = 10_000
+
+Columns = dict[str, tuple[str, ...] | None]
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A file inside the log."""
+
+    media_type: str
+    data: bytes
+
+    @property
+    def text(self) -> str:
+        """The content as UTF-8 text; damaged characters are replaced."""
+        return self.data.decode("utf-8", "replace")
+
+
+@dataclass(frozen=True)
+class Event:
+    """A sentence of the topic /log."""
+
+    real_ns: int
+    level: int  # 10 debug, 20 info, 30 warning, 40 error, 50 fatal
+    name: str
+    text: str
+
+
+@dataclass(frozen=True)
+class Run:
+    """What a log holds. Arrays have the layouts of base.records (or the columns asked for), in log order."""
+
+    path: Path
+    size_bytes: int
+    topics: dict[str, np.ndarray]
+    metadata: dict[str, dict[str, str]]
+    attachments: dict[str, Attachment]
+    damage: tuple[str, ...]  # sentences; empty: the log is whole
+    finished: bool
+    library: str
+    start_publish_ns: int  # publish time of the first tick, Unix epoch; 0: no tick
+    first_log_ns: int
+    events: tuple[Event, ...] = ()
+    foreign_topics: tuple[str, ...] = ()
+
+    @property
+    def axis_names(self) -> tuple[str, ...]:
+        """Axes in the order of the profile if the log says it, else in order of appearance."""
+        found = [match[1] for topic in self.topics if (match := re.fullmatch(r"/([^/]+)/(?:state|command)", topic))]
+        named = self.metadata.get("run", {}).get("axis_names", "")
+        order = [name.strip() for name in named.split(",") if name.strip()]
+        return tuple(dict.fromkeys([name for name in order if name in found] + found))
+
+    def topic(self, name: str, layout: np.dtype) -> np.ndarray:
+        """A topic's records, or none of `layout`."""
+        return self.topics.get(name, np.zeros(0, layout))
+
+    @property
+    def tick(self) -> np.ndarray:
+        return self.topic("/rt/tick", records.TICK)
+
+    @property
+    def miss(self) -> np.ndarray:
+        return self.topic("/rt/miss", records.MISS)
+
+    @property
+    def statistics(self) -> np.ndarray:
+        return self.topic("/rt/statistics", records.STATISTICS)
+
+    @property
+    def can_rx(self) -> np.ndarray:
+        return self.topic("/can/rx", records.CAN_FRAME)
+
+    @property
+    def can_tx(self) -> np.ndarray:
+        return self.topic("/can/tx", records.CAN_FRAME)
+
+    @property
+    def command(self) -> dict[str, np.ndarray]:
+        return {axis: self.topic(f"/{axis}/command", records.COMMAND) for axis in self.axis_names}
+
+    @property
+    def state(self) -> dict[str, np.ndarray]:
+        return {axis: self.topic(f"/{axis}/state", records.STATE) for axis in self.axis_names}
+
+    @property
+    def check(self) -> dict[str, np.ndarray]:
+        return {axis: self.topic(f"/{axis}/check", records.CHECK) for axis in self.axis_names}
+
+
+def read_run(path: str | Path, columns: Columns | None = None) -> Run:
+    """Read a log.
+
+    Args:
+        path: an MCAP file written by hilrunner, in any state.
+        columns: topic pattern (`/rt/tick`, `/*/state`) -> the fields to keep (None: all of them); topics that match no
+            pattern are left out. Without it everything is kept.
+
+    Raises LogError when the file is missing, empty, no MCAP file, or holds no topic of ours.
+    """
+    collector = _Collector(columns)
+    scanner = Scanner(path, collector.take)
+    collector.contents = scanner.contents
+    collector.read_ratio = scanner.read_ratio
+    contents = scanner.run()
+    collector.note_damage()
+    if not collector.own_topics:
+        topics = ", ".join(sorted({channel[0] for channel in contents.channels.values()})[:8])
+        found = f"its topics are {topics}" if topics else "it holds no topics"
+        if contents.damage_count:
+            found += f"; {contents.damage[0]}"
+        raise LogError(
+            str(path), f"not a log of this program: {found}", "/rt/tick, /<axis>/state, …", "name a run's log"
+        )
+    hidden = contents.damage_count - len(contents.damage)
+    damage = [*contents.damage, *([f"{hidden} more places like these"] if hidden else [])]
+    return Run(
+        path=Path(path),
+        size_bytes=Path(path).stat().st_size,
+        topics={buffer.topic: buffer.array() for buffer in collector.buffers_in_order()},
+        metadata=contents.metadata,
+        attachments={name: Attachment(*pair) for name, pair in contents.attachments.items()},
+        damage=tuple(damage),
+        finished=contents.finished,
+        library=contents.library,
+        start_publish_ns=collector.start_publish_ns,
+        first_log_ns=collector.first_log_ns,
+        events=tuple(collector.events),
+        foreign_topics=tuple(sorted(collector.foreign)),
+    )
+
+
+class _TopicBuffer:
+    """Growing array of one channel's records, made as large as the rest of the file suggests: unused rows cost nothing."""
+
+    def __init__(self, topic: str, wire: np.dtype, keep: np.dtype) -> None:
+        self.topic = topic
+        self.wire = wire
+        self.is_whole = schema.is_same(wire, keep)
+        self._missing = tuple(name for name in keep.names if name not in wire.names)
+        self._shared = tuple(name for name in keep.names if name in wire.names)
+        self._array = np.zeros(0, keep)
+        self.count = 0
+        self.other_size = 0
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Fields of ours that the log's schema lacks."""
+        return self._missing
+
+    def take(self, buffer: np.ndarray, messages: np.ndarray, channel: int, count: int, read_ratio: float) -> None:
+        """Append the `count` messages of `channel`; `read_ratio` of the file (0..1) has been read."""
+        if self.count + count > len(self._array):
+            self._grow(self.count + count, read_ratio)
+        size = self.wire.itemsize - _LEAD
+        if self.is_whole:
+            rows = self._array.view("u1").reshape(-1, self.wire.itemsize)[self.count : self.count + count]
+            rows[:, :_LEAD] = 0
+            taken, other = mcap_walk.gather(buffer, messages, channel, size, rows, _LEAD)
+        else:
+            staged = np.zeros(count, self.wire)
+            rows = staged.view("u1").reshape(-1, self.wire.itemsize)
+            taken, other = mcap_walk.gather(buffer, messages, channel, size, rows, _LEAD)
+            rows_taken = self._array[self.count : self.count + taken]
+            for name in self._shared:
+                rows_taken[name] = staged[name][:taken]
+            for name in self._missing:
+                rows_taken[name] = 0
+        self.count += taken
+        self.other_size += other
+
+    def array(self) -> np.ndarray:
+        """The records taken."""
+        return self._array[: self.count]
+
+    def _grow(self, needed: int, read_ratio: float) -> None:
+        expected = needed * min(_SPARE_RATIO / max(read_ratio, 1e-9), _LARGEST_GROWTH)
+        grown = np.empty(int(expected) + _SPARE_ROWS, self._array.dtype)
+        grown[: self.count] = self._array[: self.count]
+        self._array = grown
+
+
+class _Collector:
+    """Sorts batches of messages into topic buffers."""
+
+    def __init__(self, columns: Columns | None) -> None:
+        self.contents = Contents()
+        self.read_ratio = lambda: 1.0
+        self._columns = columns
+        self._buffers: dict[int, _TopicBuffer | None] = {}
+        self.own_topics: set[str] = set()
+        self.foreign: set[str] = set()
+        self.start_publish_ns = 0
+        self.first_log_ns = 0
+        self._unknown_channels = 0
+        self._event_channels: set[int] = set()
+        self.events: list[Event] = []
+
+    def take(self, buffer: np.ndarray, messages: np.ndarray) -> None:
+        """One batch, see mcap_scan."""
+        channels, counts = np.unique(messages["channel"], return_counts=True)
+        if not self.first_log_ns:
+            self.first_log_ns = int(messages["log_time_ns"][0])
+        for channel, count in zip(channels.tolist(), counts.tolist(), strict=True):
+            if channel not in self._buffers:
+                if channel not in self.contents.channels:
+                    self._unknown_channels += count
+                    continue
+                self._buffers[channel] = self._open(channel)
+            target = self._buffers[channel]
+            if channel in self._event_channels:
+                self._take_events(buffer, messages[messages["channel"] == channel])
+            if target is None:
+                continue
+            if target.topic == "/rt/tick" and not self.start_publish_ns:
+                first = np.flatnonzero(messages["channel"] == channel)[0]
+                self.start_publish_ns = int(messages["publish_time_ns"][first])
+            target.take(buffer, messages, channel, count, self.read_ratio())
+
+    def _take_events(self, buffer: np.ndarray, messages: np.ndarray) -> None:
+        for message in messages[: max(0, _EVENTS_MAX - len(self.events))]:
+            data = buffer[message["offset"] : message["offset"] + message["size"]].tobytes()
+            try:
+                self.events.append(_event(data))
+            except (struct.error, ValueError):
+                self.contents.note("a message of /log is damaged and was left out")
+
+    def buffers_in_order(self) -> list[_TopicBuffer]:
+        """Buffers with records, a topic once."""
+        merged: dict[str, _TopicBuffer] = {}
+        for target in self._buffers.values():
+            if target is not None and (target.topic not in merged or target.count > merged[target.topic].count):
+                merged[target.topic] = target
+        return list(merged.values())
+
+    def note_damage(self) -> None:
+        """Tell what was left out."""
+        if self._unknown_channels:
+            self.contents.note(f"{self._unknown_channels} messages belong to no channel the log defines")
+        for target in self._buffers.values():
+            if target is not None and target.other_size:
+                self.contents.note(f"{target.topic}: {target.other_size} messages have another size than their schema")
+            if target is not None and target.missing:
+                names = ", ".join(target.missing)
+                self.contents.note(f"{target.topic}: written by another version, without {names}; read as 0")
+
+    def _open(self, channel: int) -> _TopicBuffer | None:
+        topic, schema_id, encoding = self.contents.channels[channel]
+        schema_name, schema_encoding, text = self.contents.schemas.get(schema_id, ("", "", ""))
+        if (schema_name, encoding) == ("rcl_interfaces/msg/Log", "cdr"):
+            self._event_channels.add(channel)
+            return None
+        own = schema.own_layout(topic)
+        wire = schema.layout_of(text) if (encoding, schema_encoding) == ("cdr", "ros2msg") else None
+        if own is None or wire is None or not set(own.names[2:]) & set(wire.names):
+            self.foreign.add(topic)
+            return None
+        self.own_topics.add(topic)
+        if topic in ("/can/rx", "/can/tx") and "data" in wire.names:
+            own = records.can_frame_record(wire["data"].shape[0] if wire["data"].shape else 1)
+        if self._columns is None:
+            return _TopicBuffer(topic, wire, own)
+        for pattern, names in self._columns.items():
+            if fnmatch.fnmatchcase(topic, pattern):
+                return _TopicBuffer(topic, wire, schema.select(own, names))
+        return None
+
+
+def _event(data: bytes) -> Event:
+    """Decode rcl_interfaces/msg/Log (plain CDR, little-endian): time, level, name, text, …"""
+    seconds, nanoseconds, level = struct.unpack_from("<iIB", data, 4)
+    place, texts = 4 + 9, []
+    for _ in range(2):
+        place = 4 + -(-(place - 4) // 4) * 4
+        (size,) = struct.unpack_from("<I", data, place)
+        if size > len(data) - place - 4:
+            raise ValueError("text longer than its message")
+        texts.append(data[place + 4 : place + 4 + size].rstrip(b"\0").decode("utf-8", "replace"))
+        place += 4 + size
+    return Event(seconds * 1_000_000_000 + nanoseconds, level, texts[0], texts[1])
