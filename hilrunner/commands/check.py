@@ -7,7 +7,9 @@ import json
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `hilrunner check`."""
     parser.add_argument("profile", metavar="NAME|FILE", help="a shipped profile or a TOML file")
-    parser.add_argument("--engine", choices=("surrogate", "reference"), default="surrogate", help="default: %(default)s")
+    parser.add_argument(
+        "--engine", choices=("surrogate", "reference"), default="surrogate", help="default: %(default)s"
+    )
     parser.add_argument("--json", action="store_true", help="findings as one JSON object")
 
 
@@ -16,13 +18,14 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.base import status
     from hilrunner.plant.step import stability_limit_s
     from hilrunner.setup.arm import arm_offline
-    from hilrunner.setup.axes import period_s
+    from hilrunner.setup.axes import period_ns, period_s
+    from hilrunner.setup.host import bus_load_ratio
     from hilrunner.setup.profile import load_profile
-    from hilrunner.setup.traffic import bench_load_ratio
+    from hilrunner.setup.traffic import profile_traffic
 
     loaded = load_profile(args.profile)
     armed = arm_offline(loaded, status.ENGINE_NAMES.index(args.engine))
-    load = bench_load_ratio(loaded, armed.bench.command_table, armed.bench.measurement_table)
+    load = bus_load_ratio(profile_traffic(loaded, period_ns(loaded)), loaded.profile.can.bitrate)
     axes = []
     for axis, plant in zip(loaded.profile.axis, armed.axes.plants, strict=True):
         limit_s = stability_limit_s(plant)

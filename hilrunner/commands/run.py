@@ -18,11 +18,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bus.add_argument("--stimulus", metavar="FILE", help="valve schedule or CAN log in place of commands from the bus")
     run = parser.add_argument_group("run")
     run.add_argument("--profile", default="amc-lift", metavar="NAME|FILE", help="default: %(default)s")
-    run.add_argument("--engine", choices=("surrogate", "onnx", "reference"), default="surrogate", help="plant in the loop")
+    run.add_argument(
+        "--engine", choices=("surrogate", "onnx", "reference"), default="surrogate", help="plant in the loop"
+    )
     run.add_argument("--duration", type=_positive, metavar="S", help="default: until SIGINT or SIGTERM")
     run.add_argument("--log", type=Path, metavar="FILE.mcap", help="default: runs/<UTC>-<profile>.mcap")
     run.add_argument("--no-log", action="store_true", help="write no log")
-    run.add_argument("--live", nargs="?", type=int, const=8765, metavar="PORT", help="Foxglove WebSocket (default port 8765)")
+    run.add_argument(
+        "--live", nargs="?", type=int, const=8765, metavar="PORT", help="Foxglove WebSocket (default port 8765)"
+    )
     run.add_argument("--json", action="store_true", help="summary as one JSON object on stdout")
     timing = parser.add_argument_group("timing")
     timing.add_argument("--period-us", type=int, metavar="N", help="in place of the profile's period")

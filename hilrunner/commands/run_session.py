@@ -12,8 +12,8 @@ import msgspec
 from hilrunner.base import exit_codes, status
 from hilrunner.base import ring as ring_layout
 from hilrunner.base.errors import LogError, UsageError
-from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
 from hilrunner.commands.run_summary import summarise_run
+from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
 from hilrunner.setup import host
 from hilrunner.setup.profile import LoadedProfile, load_profile
 from hilrunner.setup.session import RunOptions, RunResult, Session
@@ -67,7 +67,9 @@ def _with_period(loaded: LoadedProfile, period_us: int | None) -> LoadedProfile:
         raise UsageError("--period-us", f"{period_us} us", limit="50 to 1000000 us")
     bench = msgspec.structs.replace(loaded.profile.bench, period_us=period_us)
     return LoadedProfile(
-        profile=msgspec.structs.replace(loaded.profile, bench=bench), path=loaded.path, text=with_bench_key(loaded.text, period_us)
+        profile=msgspec.structs.replace(loaded.profile, bench=bench),
+        path=loaded.path,
+        text=with_bench_key(loaded.text, period_us),
     )
 
 
@@ -149,4 +151,3 @@ def _stop_on_signals(session: Session) -> dict:
 def _restore_signals(before: dict) -> None:
     for number, handler in before.items():
         signal.signal(number, handler)
-

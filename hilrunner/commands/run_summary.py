@@ -22,9 +22,7 @@ def frame_counts(result: RunResult) -> dict[str, dict[str, int]]:
     names = [axis.name for axis in result.armed.loaded.profile.axis] + ["other"]
     counts = {}
     for name, row in zip(names, result.ring.frame_count, strict=True):
-        counts[name] = {
-            text: int(count) for text, count in zip(status.FRAME_STATUS_NAMES, row, strict=True) if count
-        }
+        counts[name] = {text: int(count) for text, count in zip(status.FRAME_STATUS_NAMES, row, strict=True) if count}
     return counts
 
 

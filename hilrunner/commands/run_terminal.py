@@ -121,6 +121,11 @@ def _print_recorder(summary: dict) -> None:
     if check:
         for name, figures in check.items():
             if isinstance(figures, dict):
-                print(f"  cross-check {name}: " + ", ".join(f"{key} {value:.4g}" for key, value in figures.items() if isinstance(value, (int, float))))
+                print(
+                    f"  cross-check {name}: "
+                    + ", ".join(
+                        f"{key} {value:.4g}" for key, value in figures.items() if isinstance(value, (int, float))
+                    )
+                )
     if summary["check_failed_tick"] is not None:
         print(f"  cross-check: out of tolerance at tick {summary['check_failed_tick']}")

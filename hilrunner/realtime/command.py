@@ -31,6 +31,7 @@ COMMAND_STATE = np.dtype(
     align=True,
 )
 
+
 def make_command_state(stale_after_ns: int, hold_for_ns: int, ramp_for_ns: int) -> np.ndarray:
     """The state of one axis before any frame, shape (1,)."""
     row = np.zeros(1, COMMAND_STATE)

@@ -54,9 +54,7 @@ def _decode_one(bench, tick, k):
     length = np.int64(frame[4])
     if length > size - _DATA_AT:
         return np.int64(-1), np.int64(status.FRAME_WRONG_LENGTH)
-    axis, code = decode_command(
-        bench.command_table, can_id, length, frame[_DATA_AT:], bench.last_counter, bench.fresh
-    )
+    axis, code = decode_command(bench.command_table, can_id, length, frame[_DATA_AT:], bench.last_counter, bench.fresh)
     if axis >= 0 and code == status.FRAME_VALID and faults.acts(bench.faults, faults.COMMAND_LOST, axis, tick):
         return np.int64(-1), np.int64(status.FRAME_UNKNOWN_ID)
     return np.int64(axis), np.int64(code)
@@ -209,9 +207,7 @@ def _fill_inbox(bench, frames, sizes, first, count):
 
 
 @entry
-def run_offline(
-    bench, ticks, period_counts, miss_counts, forced, frames, sizes, frame_first, command_out, state_out
-):
+def run_offline(bench, ticks, period_counts, miss_counts, forced, frames, sizes, frame_first, command_out, state_out):
     """Run the same three stages for a list of ticks, without clock or bus: the heart of replay and simulate.
 
     Args:

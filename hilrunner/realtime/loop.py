@@ -270,7 +270,9 @@ def _judge_tick(bench, tick, skipped, deadline_mono_ns, wake_ns, end_ns, receive
 def _act_on_limits(bench, late_ns):
     progress = bench.progress[0]
     config = bench.config[0]
-    reason = _act(bench, progress["consecutive_miss_count"], config["consecutive_miss_max"], config["consecutive_miss_action"])
+    reason = _act(
+        bench, progress["consecutive_miss_count"], config["consecutive_miss_max"], config["consecutive_miss_action"]
+    )
     if reason == status.EXIT_RUNNING:
         reason = _act(bench, progress["miss_count"], config["total_miss_max"], config["total_miss_action"])
     if reason == status.EXIT_RUNNING:

@@ -89,9 +89,7 @@ def receive_frames(descriptor, box):
             box.message[k, 5] = CONTROL_SIZE
             box.message[k, 6] = 0
         got = np.int64(
-            _recvmmsg(
-                np.int32(descriptor), box.message[count:].ctypes, np.uint32(wanted), np.int32(MSG_DONTWAIT), 0
-            )
+            _recvmmsg(np.int32(descriptor), box.message[count:].ctypes, np.uint32(wanted), np.int32(MSG_DONTWAIT), 0)
         )
         if got < 0:
             error = last_errno()

@@ -19,8 +19,8 @@ from hilrunner.realtime.miss import NO_SCHEDSTAT, make_usage_scratch
 from hilrunner.realtime.socketcan import make_mailbox
 from hilrunner.setup import axes as axis_setup
 from hilrunner.setup import resources
+from hilrunner.setup.contract import dbc_path, signal_tables
 from hilrunner.setup.profile import DeadlineLimit, Fault, LoadedProfile
-from hilrunner.setup.signals import default_mapping, load_signals
 
 INBOX_FRAMES = 1024  # most frames one tick takes; the rest waits in the socket
 RING_SECONDS = 8  # how long the recorder may stand still before a tick is dropped
@@ -81,9 +81,7 @@ def arm(
     Raises:
         ProfileError, ModelError, DbcError, StateError: what the profile asks for cannot be built.
     """
-    period_ns = axis_setup.period_ns(loaded)
-    dbc_path = axis_setup.find_file(loaded.path, loaded.profile.can.dbc, resources.firmware_interface_folder())
-    commands, measurements = load_signals(dbc_path, _mapping(loaded), period_ns)
+    commands, measurements = signal_tables(loaded)
     axis_count = len(axes.plants)
     rusage, schedstat_text, usage_before, usage_after = make_usage_scratch()
     bench = Bench(
@@ -116,7 +114,7 @@ def arm(
         clock=make_clock(loaded.profile.bench.spin_us * NS_PER_US if spin_ns is None else spin_ns),
         ring=ring,
     )
-    return Armed(bench=bench, loaded=loaded, axes=axes, dbc_path=dbc_path)
+    return Armed(bench=bench, loaded=loaded, axes=axes, dbc_path=dbc_path(loaded))
 
 
 def model_paths(loaded: LoadedProfile) -> list[Path]:
@@ -129,20 +127,6 @@ def arm_offline(loaded: LoadedProfile, engine: int, stimulus: np.ndarray | None 
     """A bench for `realtime.cycle.run_offline`: no recorder, no clock, no bus."""
     shape = ring_shape(loaded, seconds=0.01)._replace(tick_capacity=16, can_capacity=16, miss_capacity=16)
     return arm(loaded, axis_setup.build_axes(loaded, engine), local_ring(shape), record=False, stimulus=stimulus)
-
-
-def _mapping(loaded: LoadedProfile) -> list:
-    mapping = loaded.profile.can.mapping
-    axis_count = len(loaded.profile.axis)
-    if not mapping:
-        return default_mapping(axis_count)
-    if len(mapping) != axis_count:
-        raise ProfileError(
-            f"{loaded.path}: can.mapping",
-            f"maps {len(mapping)} axes, the profile has {axis_count}",
-            remedy="one [[can.mapping]] an axis, in the order of [[axis]]",
-        )
-    return list(mapping)
 
 
 def _config(loaded: LoadedProfile, stimulus, overrun: str | None, schedstat_fd: int, record: bool) -> np.ndarray:
@@ -173,7 +157,9 @@ def _set_limit(config: np.ndarray, limit: DeadlineLimit | None, limit_field: str
 
 def _command_rules(rules) -> np.ndarray:
     return command.make_command_state(
-        round(rules.stale_after_ms * NS_PER_MS), round(rules.hold_for_ms * NS_PER_MS), round(rules.ramp_for_ms * NS_PER_MS)
+        round(rules.stale_after_ms * NS_PER_MS),
+        round(rules.hold_for_ms * NS_PER_MS),
+        round(rules.ramp_for_ms * NS_PER_MS),
     )
 
 

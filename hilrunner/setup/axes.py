@@ -14,7 +14,7 @@ from hilrunner.plant import wave as plant_wave
 from hilrunner.plant.parameters import make_parameters
 from hilrunner.plant.step import AxisPlant, default_substep_count, initial_state, stability_limit_s
 from hilrunner.setup import resources
-from hilrunner.setup.profile import Axis, LoadedProfile, Load
+from hilrunner.setup.profile import Axis, Load, LoadedProfile
 
 
 def period_s(loaded: LoadedProfile) -> float:
@@ -75,9 +75,7 @@ def make_waves(loaded: LoadedProfile) -> list[np.ndarray]:
             waves.append(plant_wave.no_wave())
         else:
             waves.append(
-                plant_wave.heave_components(
-                    axis.wave.significant_height_m, axis.wave.peak_period_s, axis.wave.seed
-                )
+                plant_wave.heave_components(axis.wave.significant_height_m, axis.wave.peak_period_s, axis.wave.seed)
             )
     return waves
 
@@ -107,9 +105,7 @@ def _networks(loaded: LoadedProfile, axis: Axis, place: str, engine: int, parame
     from hilrunner.setup.model import load_model
 
     if axis.model is None:
-        raise ProfileError(
-            f"{place}.model", "missing", remedy="name a trained model, or run with --engine reference"
-        )
+        raise ProfileError(f"{place}.model", "missing", remedy="name a trained model, or run with --engine reference")
     networks, report = load_model(
         find_file(loaded.path, axis.model, resources.models_folder()),
         circuit=axis.circuit,
@@ -152,9 +148,7 @@ def _load_table(load: Load, place: str) -> plant_load.LoadTable:
     if load.kind == "constant":
         table = plant_load.constant(load.force_kn * N_PER_KN)
     elif load.kind == "table":
-        table = plant_load.from_table(
-            np.array(load.position_mm) * M_PER_MM, np.array(load.table_force_kn) * N_PER_KN
-        )
+        table = plant_load.from_table(np.array(load.position_mm) * M_PER_MM, np.array(load.table_force_kn) * N_PER_KN)
     else:
         table = plant_load.knuckle_boom(with_mass=load.equivalent_mass)
     if load.perturbation_std_ratio > 0:

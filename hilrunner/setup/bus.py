@@ -111,7 +111,9 @@ def _prepare_socket(sock: socket.socket, channel: str, fd: bool) -> None:
     except PermissionError:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
     if fd and not sock.getsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES):
-        raise CanError(f"--can {channel}", "the kernel refused CAN FD on this socket", remedy="use an FD-capable interface")
+        raise CanError(
+            f"--can {channel}", "the kernel refused CAN FD on this socket", remedy="use an FD-capable interface"
+        )
 
 
 class Pump:

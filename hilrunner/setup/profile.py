@@ -210,7 +210,9 @@ def _find(name_or_path: str) -> Path:
     direct = Path(name_or_path)
     if direct.suffix == ".toml" or direct.exists():
         if not direct.is_file():
-            raise ProfileError(name_or_path, "no such file", remedy="name a TOML file, or a profile of `hilrunner profiles`")
+            raise ProfileError(
+                name_or_path, "no such file", remedy="name a TOML file, or a profile of `hilrunner profiles`"
+            )
         return direct
     shipped = resources.profiles_folder() / f"{name_or_path}.toml"
     if not shipped.is_file():

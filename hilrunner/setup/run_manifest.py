@@ -14,9 +14,9 @@ from pathlib import Path
 import hilrunner
 from hilrunner.base import compiled, status
 from hilrunner.record.config import Attachment
-from hilrunner.setup import host, resources
+from hilrunner.setup import host
 from hilrunner.setup.arm import model_paths
-from hilrunner.setup.axes import find_file
+from hilrunner.setup.contract import dbc_path
 from hilrunner.setup.profile import LoadedProfile
 
 PROFILE_ATTACHMENT = "profile.toml"
@@ -60,7 +60,7 @@ def run_metadata(loaded: LoadedProfile, engine: int, grants: list, report: host.
 
 def run_attachments(loaded: LoadedProfile, engine: int) -> list[Attachment]:
     """Profile, DBC, trained models and their data sheets."""
-    dbc = find_file(loaded.path, loaded.profile.can.dbc, resources.firmware_interface_folder())
+    dbc = dbc_path(loaded)
     found = [
         Attachment(PROFILE_ATTACHMENT, "application/toml", text=loaded.text),
         Attachment(Path(loaded.profile.can.dbc).name, "text/plain", path=str(dbc)),

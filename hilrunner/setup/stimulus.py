@@ -8,11 +8,10 @@ from hilrunner.base import status
 from hilrunner.base.errors import UsageError
 from hilrunner.plant.schedule import load_schedule, sample
 from hilrunner.realtime import decode
-from hilrunner.setup import resources
-from hilrunner.setup.axes import find_file, period_ns, period_s
+from hilrunner.setup.axes import period_ns, period_s
 from hilrunner.setup.bus import pack_frame
+from hilrunner.setup.contract import signal_tables
 from hilrunner.setup.profile import LoadedProfile
-from hilrunner.setup.signals import default_mapping, load_signals
 
 CAN_LOG_SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4")
 
@@ -40,8 +39,7 @@ def _from_can_log(path: Path, loaded: LoadedProfile) -> np.ndarray:
     """The newest valid command of each tick, held until the next; every frame is checked as on the bus."""
     frames = _read_frames(path)
     axis_count = len(loaded.profile.axis)
-    dbc = find_file(loaded.path, loaded.profile.can.dbc, resources.firmware_interface_folder())
-    table, _ = load_signals(dbc, list(loaded.profile.can.mapping) or default_mapping(axis_count), period_ns(loaded))
+    table, _ = signal_tables(loaded)
     tick_count = int((frames[-1][0] - frames[0][0]) * 1e9 // period_ns(loaded)) + 1
     commands = np.zeros((tick_count, axis_count))
     counter, fresh = decode.no_counters(axis_count), decode.fresh_commands(axis_count)
@@ -60,7 +58,7 @@ def _from_can_log(path: Path, loaded: LoadedProfile) -> np.ndarray:
     if valid_count == 0:
         raise UsageError(
             f"--stimulus {path}",
-            f"none of its {len(frames)} frames is a valid valve command of {dbc.name}",
+            f"none of its {len(frames)} frames is a valid valve command of {loaded.profile.can.dbc}",
             remedy="record VALVE_COMMAND frames, or map the log's DBC in the profile",
         )
     return commands

@@ -3,10 +3,9 @@
 from hilrunner.base.units import NS_PER_S
 from hilrunner.realtime.decode import CommandTable
 from hilrunner.realtime.encode import MeasurementTable
-from hilrunner.setup import resources
+from hilrunner.setup.contract import signal_tables
 from hilrunner.setup.host_can import FrameTraffic
 from hilrunner.setup.profile import LoadedProfile
-from hilrunner.setup.signals import default_mapping, load_signals, read_mapping
 
 _EFF = 1 << 31
 
@@ -38,12 +37,5 @@ def profile_traffic(loaded: LoadedProfile, period_ns: int) -> list[FrameTraffic]
     Raises:
         DbcError: the DBC or the mapping is refused.
     """
-    can = loaded.profile.can
-    beside = loaded.path.parent / can.dbc
-    dbc_path = beside if beside.is_file() else resources.firmware_interface_folder() / can.dbc
-    names = [axis.name for axis in loaded.profile.axis]
-    mapping = (
-        read_mapping(can.mapping, names, f"{loaded.path}: can.mapping") if can.mapping else default_mapping(len(names))
-    )
-    commands, measurements = load_signals(dbc_path, mapping, period_ns)
-    return table_traffic(commands, measurements, period_ns, can.fd)
+    commands, measurements = signal_tables(loaded)
+    return table_traffic(commands, measurements, period_ns, loaded.profile.can.fd)
