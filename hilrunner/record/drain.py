@@ -10,6 +10,8 @@ import numpy as np
 
 from hilrunner.base import ring as ring_layout
 
+STRETCH_MAX = 4096  # entries handed over at once: bounds a chunk of the log after the recorder was held up
+
 
 class Counts(NamedTuple):
     """Records ever published when the snapshot was taken."""
@@ -90,11 +92,11 @@ class Drain:
 
 
 def _stretches(read: int, written: int, capacity: int) -> list[tuple[int, int]]:
-    """The places of entries read .. written in a ring of this capacity, as one or two unbroken stretches."""
-    if written == read:
-        return []
-    start = read % capacity
-    stop = start + (written - read)
-    if stop <= capacity:
-        return [(start, stop)]
-    return [(start, capacity), (0, stop - capacity)]
+    """The places of entries read .. written in a ring of this capacity, as unbroken stretches of bounded length."""
+    found = []
+    while read < written:
+        start = read % capacity
+        count = min(written - read, capacity - start, STRETCH_MAX)
+        found.append((start, start + count))
+        read += count
+    return found

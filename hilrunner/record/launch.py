@@ -41,8 +41,16 @@ def create_ring(shape: ring_layout.RingShape) -> tuple[RingBlock, ring_layout.Ri
     """A new initialised ring of this shape and the block that holds it."""
     size_bytes = ring_layout.size_bytes(shape)
     fd = os.memfd_create("hilrunner-ring", os.MFD_CLOEXEC)
-    os.ftruncate(fd, size_bytes)
-    block = RingBlock(fd, size_bytes)
+    try:
+        os.ftruncate(fd, size_bytes)
+        block = RingBlock(fd, size_bytes)
+    except OSError as error:
+        os.close(fd)
+        raise LogError(
+            "ring",
+            f"{size_bytes / 1e6:.1f} MB of shared memory cannot be had: {error.strerror}",
+            remedy="raise the memory or file size limit (ulimit -v, ulimit -f), or run fewer axes",
+        ) from None
     ring = ring_layout.view(block.buffer, shape)
     ring_layout.initialise(ring, shape)
     return block, ring

@@ -13,7 +13,7 @@ import stat
 import struct
 import zlib
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn
 
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
@@ -86,6 +86,7 @@ class McapFile:
         self._index_size_bytes = 0
         self._allocated_bytes = 0
         self._can_allocate = True
+        self._in_head = True
         try:
             self._fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
         except OSError as error:
@@ -94,19 +95,19 @@ class McapFile:
                 f"the log cannot be created: {error.strerror}",
                 remedy="choose another --log or --no-log",
             ) from None
-        regular = stat.S_ISREG(os.fstat(self._fd).st_mode)
-        if not regular or not self.append(MAGIC + record_bytes(Header(profile="", library=library))):
-            os.close(self._fd)
-            raise LogError(
-                str(self.path),
-                "the log cannot be written: "
-                + ("no space left or file size limit" if regular else "not a regular file"),
-                remedy="free disk space, choose another --log, or --no-log",
-            )
+        if not stat.S_ISREG(os.fstat(self._fd).st_mode):
+            self._refuse("not a regular file")
+        self.append(MAGIC + record_bytes(Header(profile="", library=library)))
+
+    def end_of_head(self) -> None:
+        """From here on a refusing disk costs data; before, it is a LogError: nothing has been recorded yet."""
+        self._in_head = False
 
     def append(self, data: bytes) -> bool:
         """Add whole records; False (and nothing added, the loss counted) when the disk refuses."""
         if not self._reserve(len(data) + self._ending_size_bytes()) or not self._write_all(data):
+            if self._in_head:
+                self._refuse("no space left, or the file size limit is reached")
             self.lost_bytes += len(data)
             return False
         self._crc = zlib.crc32(data, self._crc)
@@ -216,6 +217,16 @@ class McapFile:
             self._take_back_chunk()
         os.ftruncate(self._fd, self.size_bytes)
         os.close(self._fd)
+
+    def _refuse(self, why: str) -> NoReturn:
+        if stat.S_ISREG(os.fstat(self._fd).st_mode):
+            os.unlink(self.path)
+        os.close(self._fd)
+        raise LogError(
+            str(self.path),
+            f"the log cannot be written: {why}",
+            remedy="free disk space, choose another --log, or --no-log",
+        )
 
     def _write_ending(self, ending: bytes) -> bool:
         if not self._write_all(ending):

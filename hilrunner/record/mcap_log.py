@@ -71,6 +71,7 @@ class LogWriter:
             self._file.add_metadata(name, {key: str(value) for key, value in values.items()})
         for name, media_type, data in attachments:
             self.add_attachment(name, media_type, data)
+        self._file.end_of_head()
 
     @property
     def path(self) -> Path:
@@ -107,6 +108,10 @@ class LogWriter:
 
     def write_records(self, topic: str, payload: np.ndarray, log_real_ns, publish_real_ns) -> None:
         """Add records (n,) of the topic's layout; times (n,) or scalar int64 ns since the Unix epoch."""
+        self._add(topic, payload, log_real_ns, publish_real_ns)
+        self._close_full_chunk()
+
+    def _add(self, topic: str, payload: np.ndarray, log_real_ns, publish_real_ns) -> None:
         if len(payload) == 0:
             return
         channel = self._channel_ids[topic]
@@ -114,6 +119,8 @@ class LogWriter:
         self._sequences[channel] += len(payload)
         self._blocks.append(block)
         self._pending_bytes += block.messages.nbytes
+
+    def _close_full_chunk(self) -> None:
         if self._pending_bytes >= CHUNK_SIZE_BYTES:
             self.flush()
 
@@ -124,11 +131,12 @@ class LogWriter:
         offset_ns = start_real_ns - start_mono_ns
         log_real_ns = tick["end_mono_ns"] + offset_ns
         publish_real_ns = tick["deadline_mono_ns"] + offset_ns
-        self.write_records("/rt/tick", tick, log_real_ns, publish_real_ns)
+        self._add("/rt/tick", tick, log_real_ns, publish_real_ns)
         for axis, name in enumerate(self._axis_names):
             of_axis = slice(axis, None, self.axis_count)
-            self.write_records(f"/{name}/command", command[of_axis], log_real_ns, publish_real_ns)
-            self.write_records(f"/{name}/state", state[of_axis], log_real_ns, publish_real_ns)
+            self._add(f"/{name}/command", command[of_axis], log_real_ns, publish_real_ns)
+            self._add(f"/{name}/state", state[of_axis], log_real_ns, publish_real_ns)
+        self._close_full_chunk()  # only here: a chunk holds whole ticks
 
     def write_check(self, axis_name: str, check: np.ndarray, log_real_ns, publish_real_ns) -> None:
         """Add cross-check records (n,) CHECK of one axis, with the times of the ticks they belong to."""
