@@ -1,0 +1,58 @@
+"""Compiled entry points of the codec for tests, and many-frame versions of them."""
+
+import numpy as np
+
+from hilrunner.base import status
+from hilrunner.base.compiled import hot
+from hilrunner.realtime import decode, e2e, encode
+
+
+@hot
+def decode_one(table, can_id, length, data, last_counter, fresh):
+    """decode.decode_command as Python can call it."""
+    return decode.decode_command(table, can_id, length, data, last_counter, fresh)
+
+
+@hot
+def decode_many(table, can_ids, lengths, frames, last_counter, fresh, codes, changed):
+    """Decode frames one after the other.
+
+    Args:
+        codes: i8[frame, 2], axis and status of each. changed: i8[2], frames that were not valid but changed `fresh`
+        of axis 0 (0) or its `last_counter` other than by resynchronising (1).
+    """
+    for index in range(can_ids.shape[0]):
+        valve = fresh[0]["valve_command"]
+        stamp = fresh[0]["timestamp_us"]
+        control = fresh[0]["control"]
+        counter = fresh[0]["counter"]
+        last = last_counter[0]
+        axis, code = decode.decode_command(table, can_ids[index], lengths[index], frames[index], last_counter, fresh)
+        codes[index, 0] = axis
+        codes[index, 1] = code
+        if code != status.FRAME_VALID:
+            same = fresh[0]["valve_command"] == valve and fresh[0]["timestamp_us"] == stamp
+            same = same and fresh[0]["control"] == control and fresh[0]["counter"] == counter
+            if not same:
+                changed[0] += 1
+            if last_counter[0] != last and code != status.FRAME_LOST_COUNTER:
+                changed[1] += 1
+
+
+@hot
+def encode_one(table, message, quantities, counter, data):
+    """encode.encode_measurement as Python can call it."""
+    return encode.encode_measurement(table, message, quantities, counter, data)
+
+
+@hot
+def crc_one(data, length, data_id):
+    """e2e.crc_p02 as Python can call it."""
+    return e2e.crc_p02(data, length, data_id)
+
+
+def padded(data: bytes) -> np.ndarray:
+    """u1[64] with the data bytes in front and 0xA5 behind, which nobody may read."""
+    out = np.full(64, 0xA5, np.uint8)
+    out[: len(data)] = np.frombuffer(bytes(data), np.uint8)
+    return out
