@@ -204,9 +204,7 @@ def static_load_n(load: LoadTable, x_m: float) -> float:
     return float(_force_at(load.knots_m, load.coefficients, load.inverse_spacing_pm, x_m))
 
 
-def initial_state(
-    axis_plant, rod_position_m: float, valve_command: float = 0.0, load_scale: float = 1.0
-) -> np.ndarray:
+def initial_state(axis_plant, rod_position_m: float, valve_command: float = 0.0, load_scale: float = 1.0) -> np.ndarray:
     """A consistent state at rest (valve neutral) or in steady motion under a held command.
 
     Args:
@@ -242,7 +240,11 @@ def _reason(code: int, prm, load_n: float, state: np.ndarray) -> tuple[str, str,
     pressures = f"chambers at {state[2] / 1e6:.2f} and {state[3] / 1e6:.2f} MPa"
     if code == NO_HOLD:
         limits = f"settings {prm['setting_1_pa'] / 1e6:g} and {prm['setting_2_pa'] / 1e6:g} MPa less the pilots"
-        return f"{load} ({pressures}) opens a counterbalance valve: no state of rest", limits, "lower the load or raise the setting"
+        return (
+            f"{load} ({pressures}) opens a counterbalance valve: no state of rest",
+            limits,
+            "lower the load or raise the setting",
+        )
     if code == NO_PRESSURE:
         return (
             f"{load} would need {pressures}: below absolute vacuum",

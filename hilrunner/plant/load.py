@@ -10,7 +10,9 @@ from hilrunner.base.compiled import hot
 from hilrunner.base.errors import ProfileError
 
 GRAVITY_MPS2 = 9.81
-SEGMENT_COEFFICIENTS = 8  # force c0..c3, mass c0..c3; value = c0 + d (c1 + d (c2 + d c3)), d from the segment's left knot
+SEGMENT_COEFFICIENTS = (
+    8  # force c0..c3, mass c0..c3; value = c0 + d (c1 + d (c2 + d c3)), d from the segment's left knot
+)
 
 
 class LoadTable(NamedTuple):

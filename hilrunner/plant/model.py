@@ -81,7 +81,9 @@ def assemble(axes: Sequence[AxisPlant], period_s: float = 1e-3) -> PlantModel:
         circuit=np.array([axis.circuit for axis in axes], np.int64),
         engine=np.array([axis.engine for axis in axes], np.int64),
         fast=np.array([axis.fast for axis in axes], np.bool_),
-        substep_count=np.array([axis.substep_count or default_substep_count(axis, period_s) for axis in axes], np.int64),
+        substep_count=np.array(
+            [axis.substep_count or default_substep_count(axis, period_s) for axis in axes], np.int64
+        ),
         load_knots_m=knots,
         load_coefficients=coefficients,
         load_knot_count=np.array([len(axis.load.knots_m) for axis in axes], np.int64),

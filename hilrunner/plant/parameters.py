@@ -26,9 +26,7 @@ class ParameterSpec:
     doc: str
 
 
-def _row(
-    field: str, key: str, factor: float, minimum: float, maximum: float, source: str, doc: str
-) -> ParameterSpec:
+def _row(field: str, key: str, factor: float, minimum: float, maximum: float, source: str, doc: str) -> ParameterSpec:
     return ParameterSpec(field, key, factor, minimum, maximum, source, doc)
 
 
@@ -55,7 +53,9 @@ SPEC: tuple[ParameterSpec, ...] = (
     # directional valve: supply edges P->A, P->B, return edges A->T, B->T, centre bleed
     _row("valve_pa_si", "valve_pa_mm3ps_sqrtmpa", _ORIFICE, 1.0, 1e9, _TABLE_1, "full opening, k_q"),
     _row("valve_bt_si", "valve_bt_mm3ps_sqrtmpa", _ORIFICE, 1.0, 1e9, _PROPOSED, "4.5 k_q restores Table 2"),
-    _row("valve_pb_si", "valve_pb_mm3ps_sqrtmpa", _ORIFICE, 1.0, 1e9, _PROPOSED, "0.5 k_q: lowering as fast as lifting"),
+    _row(
+        "valve_pb_si", "valve_pb_mm3ps_sqrtmpa", _ORIFICE, 1.0, 1e9, _PROPOSED, "0.5 k_q: lowering as fast as lifting"
+    ),
     _row("valve_at_si", "valve_at_mm3ps_sqrtmpa", _ORIFICE, 1.0, 1e9, _PROPOSED, "4.5 k_q"),
     _row("bleed_si", "bleed_mm3ps_sqrtmpa", _ORIFICE, 1.0, 1e9, _PROPOSED, "centre position vents A and B to tank"),
     _row("bleed_range", "bleed_range", 1.0, 1e-3, 0.5, _PROPOSED, "command at which the bleed has closed"),
@@ -147,8 +147,7 @@ _PAPER: dict[str, float] = {
 PRESETS: dict[str, dict[str, float]] = {
     "paper": _PAPER,
     # Table 1 as printed: one coefficient for both edges, 20 mm^3 of dead volume; regularised, nothing repaired
-    "paper-table1": _PAPER
-    | {"valve_bt_mm3ps_sqrtmpa": _K_Q, "dead_volume_1_mm3": 20.0, "dead_volume_2_mm3": 20.0},
+    "paper-table1": _PAPER | {"valve_bt_mm3ps_sqrtmpa": _K_Q, "dead_volume_1_mm3": 20.0, "dead_volume_2_mm3": 20.0},
     "lift": _PAPER | {"tank_pressure_mpa": 0.2},
     # with the crane's own inertia a pilot ratio of 4.5 limit-cycles when lowering; 1.5 is stable
     "lift-heavy": _PAPER | {"tank_pressure_mpa": 0.2, "pilot_ratio": 1.5},

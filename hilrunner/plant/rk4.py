@@ -1,11 +1,6 @@
 """The classical Runge-Kutta method of order four for right-hand sides that take and return tuples.
 
-    0   |
-    1/2 | 1/2
-    1/2 | 0    1/2
-    1   | 0    0    1
-    ----+--------------------
-        | 1/6  1/3  1/3  1/6
+nodes 0, 1/2, 1/2, 1; each stage starts from the one before; weights 1/6, 1/3, 1/3, 1/6 (Kutta 1901).
 """
 
 from hilrunner.base.compiled import hot
@@ -89,7 +84,8 @@ def make_rk4(rates, state_count: int):
         for _ in range(count):
             following = y
             k = y
-            for stage in range(4):  # one call of the rates in the code: a quarter of the machine code to compile and cache
+            # one call of the rates in the code: a quarter of the machine code to compile and to keep in the cache
+            for stage in range(4):
                 at = y if stage == 0 else shifted(y, _NODE[stage] * step_s, k)
                 k, lines = rates(context, at, lines)
                 following = shifted(following, _WEIGHT[stage] * step_s, k)

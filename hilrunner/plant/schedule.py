@@ -128,7 +128,7 @@ def sample(schedule: Schedule, times_s: np.ndarray) -> np.ndarray:
     return np.clip(schedule.values(np.asarray(times_s, dtype=np.float64)), -1.0, 1.0)
 
 
-def find_schedule(name_or_path: str) -> Schedule:
+def load_schedule(name_or_path: str) -> Schedule:
     """A schedule by name, or from a .csv or .toml file.
 
     Raises:
@@ -160,7 +160,9 @@ def _from_csv(text: str, place: str) -> Table:
         try:
             time_s, command = (float(cell) for cell in row)
         except ValueError as error:
-            raise ProfileError(f"{place}: row {number}", f"{','.join(row)!r} is not two numbers", "time_s,valve_command") from error
+            raise ProfileError(
+                f"{place}: row {number}", f"{','.join(row)!r} is not two numbers", "time_s,valve_command"
+            ) from error
         times.append(time_s)
         commands.append(command)
     return _checked(Table(times[-1] if times else 0.0, tuple(times), tuple(commands)), place)
@@ -215,6 +217,8 @@ def _checked(schedule: Schedule, place: str) -> Schedule:
 
 def _check_table(table: Table, place: str) -> None:
     if len(table.times_s) < 2 or len(table.times_s) != len(table.commands):
-        raise ProfileError(place, f"{len(table.times_s)} times, {len(table.commands)} commands", "equally many, 2 or more")
+        raise ProfileError(
+            place, f"{len(table.times_s)} times, {len(table.commands)} commands", "equally many, 2 or more"
+        )
     if np.any(np.diff(table.times_s) <= 0.0):
         raise ProfileError(place, "the times do not increase", "strictly increasing times")

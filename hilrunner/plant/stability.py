@@ -28,6 +28,11 @@ _COMMANDS = (0.0, 0.05, 0.3, 1.0)
 SAFETY = 0.97  # of the limit, for what lies between the sampled states
 
 
+def spools_have_no_mass(axis_plant) -> bool:
+    """True where the axis' engine integrates spools without mass: the fast reference and every surrogate."""
+    return bool(axis_plant.fast) or axis_plant.engine != status.ENGINE_REFERENCE
+
+
 def active_places(circuit: int, fast: bool) -> tuple[int, ...]:
     """Places of base.state_layout that are integrated states of a circuit."""
     return _ACTIVE[circuit, bool(fast)]
@@ -75,7 +80,8 @@ def load_tuple(load) -> tuple:
 
 def jacobians(axis_plant, states: np.ndarray, valve_command: float, load_scale: float = 1.0) -> np.ndarray:
     """(n, m, m) Jacobians over the active places, central differences; units as the state's."""
-    places = active_places(axis_plant.circuit, axis_plant.fast)
+    fast = spools_have_no_mass(axis_plant)
+    places = active_places(axis_plant.circuit, fast)
     columns = []
     for place in places:
         sides = []
@@ -85,7 +91,7 @@ def jacobians(axis_plant, states: np.ndarray, valve_command: float, load_scale: 
             rates = np.empty_like(moved)
             state_rates(
                 axis_plant.parameters, load_tuple(axis_plant.load), float(load_scale), axis_plant.circuit,
-                bool(axis_plant.fast), float(valve_command), moved, rates,
+                fast, float(valve_command), moved, rates,
             )  # fmt: skip
             sides.append(rates[:, places])
         columns.append((sides[0] - sides[1]) / (2.0 * _STEP[place]))
@@ -122,8 +128,10 @@ def sampled_states(axis_plant) -> list[tuple[float, np.ndarray]]:
     prm = axis_plant.parameters[0]
     low, high = axis_plant.position_limits_m
     positions = np.unique(np.concatenate([np.linspace(low, high, 5), [low + 0.02 * (high - low)]]))
-    commands = _COMMANDS if axis_plant.circuit == status.CIRCUIT_PAPER else tuple(
-        sign * value for value in _COMMANDS for sign in ((1.0, -1.0) if value else (1.0,))
+    commands = (
+        _COMMANDS
+        if axis_plant.circuit == status.CIRCUIT_PAPER
+        else tuple(sign * value for value in _COMMANDS for sign in ((1.0, -1.0) if value else (1.0,)))
     )
     stroke = prm["spool_stroke_m"]
     seat = prm["spool_area_m2"] * max(prm["setting_1_pa"], prm["setting_2_pa"]) / prm["spool_stop_stiffness_npm"]

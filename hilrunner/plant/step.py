@@ -9,16 +9,7 @@ from hilrunner.plant.load import load_force_n
 from hilrunner.plant.model import SCRATCH_SIZE, AxisPlant, PlantModel, assemble, load_of
 from hilrunner.plant.reference import advance_lift, advance_lift_lines, advance_paper
 from hilrunner.plant.stability import default_substep_count, stability_limit_s
-
-try:
-    from hilrunner.plant.surrogate import advance_surrogate
-except ImportError:  # the surrogate's file has not landed yet
-
-    @hot
-    def advance_surrogate(model, axis, valve_command, load_scale, period_s, state, scratch):
-        state[0] = math.nan
-        return status.FLAG_NOT_FINITE
-
+from hilrunner.plant.surrogate import advance_surrogate
 
 __all__ = [
     "SCRATCH_SIZE",
