@@ -195,7 +195,7 @@ size_t actuator_motion_pack(uint8_t *data, unsigned axis, uint8_t *counter,
     data[4] = (uint8_t)(data[4] | ((rod_position_mm_raw >> 16) & 0xFFu));
     data[5] = (uint8_t)(data[5] | ((rod_position_mm_raw >> 24) & 0xFFu));
     uint64_t rod_velocity_mmps_raw = (uint64_t)raw_of(
-        values->rod_velocity_mmps, REAL(0.1), REAL(0.0), -32768, 32767);
+        values->rod_velocity_mmps, REAL(0.1), REAL(0.0), -30000, 30000);
     data[6] = (uint8_t)(data[6] | (rod_velocity_mmps_raw & 0xFFu));
     data[7] = (uint8_t)(data[7] | ((rod_velocity_mmps_raw >> 8) & 0xFFu));
     e2e_p02_protect(data, 8, motion_data_ids[axis - 1], counter);
@@ -223,7 +223,7 @@ frame_status_t actuator_motion_unpack(const uint8_t *data, size_t length, unsign
     uint64_t rod_velocity_mmps_bits = (uint64_t)(data[6] & 0xFFu)
         | ((uint64_t)(data[7] & 0xFFu) << 8);
     int64_t rod_velocity_mmps_raw = (int64_t)(rod_velocity_mmps_bits ^ 0x8000u) - 0x8000;
-    if (rod_position_mm_raw < -20000000 || rod_position_mm_raw > 20000000) {
+    if (rod_position_mm_raw < -20000000 || rod_position_mm_raw > 20000000 || rod_velocity_mmps_raw < -30000 || rod_velocity_mmps_raw > 30000) {
         return FRAME_OUT_OF_RANGE;
     }
     values->rod_position_mm = (actuator_real_t)rod_position_mm_raw * REAL(0.001) + REAL(0.0);

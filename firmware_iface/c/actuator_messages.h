@@ -83,7 +83,7 @@ frame_status_t actuator_valve_command_unpack(const uint8_t *data, size_t length,
 typedef struct {
     /* mm, [-20000, 20000]. Rod position from the retracted end, resolution 1 um. */
     actuator_real_t rod_position_mm;
-    /* mm/s, [-3276.8, 3276.7]. Rod velocity, positive extending, resolution 0.1 mm/s. */
+    /* mm/s, [-3000, 3000]. Rod velocity, positive extending, resolution 0.1 mm/s. */
     actuator_real_t rod_velocity_mmps;
 } actuator_motion_t;
 

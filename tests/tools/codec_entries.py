@@ -4,7 +4,7 @@ import numpy as np
 
 from hilrunner.base import status
 from hilrunner.base.compiled import hot
-from hilrunner.realtime import decode, e2e, encode
+from hilrunner.realtime import bits, decode, e2e, encode
 
 
 @hot
@@ -43,6 +43,30 @@ def decode_many(table, can_ids, lengths, frames, last_counter, fresh, codes, cha
 def encode_one(table, message, quantities, counter, data):
     """encode.encode_measurement as Python can call it."""
     return encode.encode_measurement(table, message, quantities, counter, data)
+
+
+@hot
+def insert_one(signals, index, value, data):
+    """bits.insert_bits as Python can call it."""
+    bits.insert_bits(signals, index, value, data)
+
+
+@hot
+def extract_one(signals, index, data):
+    """bits.extract_bits as Python can call it."""
+    return bits.extract_bits(signals, index, data)
+
+
+@hot
+def number_one(signals, index, data):
+    """bits.decode_number as Python can call it."""
+    return bits.decode_number(signals, index, data)
+
+
+@hot
+def encode_si_one(signals, index, value, data):
+    """bits.encode_si as Python can call it."""
+    bits.encode_si(signals, index, value, data)
 
 
 @hot
