@@ -91,9 +91,7 @@ def test_periods_of_two_axes_with_their_frames(tmp_path):
     ]:
         data = b"".join(message[3] for message in found.messages[topic])
         assert data == np.frombuffer(made.tobytes(), "u1").reshape(len(made), -1)[:, 4:].tobytes(), topic
-    _, log_ns, publish_ns, _ = np.array(
-        [(m[0], m[1], m[2], 0) for m in found.messages["/jib/state"]], dtype=np.int64
-    ).T
+    _, log_ns, publish_ns, _ = np.array([(m[0], m[1], m[2], 0) for m in found.messages["/jib/state"]], dtype=np.int64).T
     assert (log_ns == tick["end_mono_ns"] + OFFSET_NS).all()
     assert (publish_ns == tick["deadline_mono_ns"] + OFFSET_NS).all()
     first_frame = found.messages["/can/rx"][0]

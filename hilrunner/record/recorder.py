@@ -1,0 +1,213 @@
+"""Everything that takes records, in one place: log, cross-check, statistics, live view; and what is told of them."""
+
+import resource
+import time
+
+import numpy as np
+
+from hilrunner.base import ring as ring_layout
+from hilrunner.base import status
+from hilrunner.record.check_worker import CheckWorker
+from hilrunner.record.config import RecorderConfig
+from hilrunner.record.drain import Drain
+from hilrunner.record.mcap_log import LOG_LEVEL_ERROR, LOG_LEVEL_INFO, LOG_LEVEL_WARNING, LogWriter
+from hilrunner.record.statistics import HISTOGRAM_ATTACHMENT, frame_counts, histogram_text, statistics_record
+
+CHECK_WAIT_S = 40.0  # for the cross-check's backlog, when the runner waits for the summary
+CHECK_WAIT_ORPHAN_S = 10.0  # when the runner is dead: the log shall be finished soon
+
+
+class Recorder:
+    """One run's consumer of the ring; `log`, `check` and `live` may each be absent."""
+
+    def __init__(
+        self,
+        settings: RecorderConfig,
+        drain: Drain,
+        log: LogWriter | None,
+        check: CheckWorker | None = None,
+        live=None,
+    ) -> None:
+        self.settings = settings
+        self.drain = drain
+        self.log = log
+        self.check = check
+        self.live = live
+        self.tick_count = 0
+        self.last_tick = -1
+        self.begin_mono_ns = time.monotonic_ns()
+        self._dropped_ticks = 0
+        self._lost_bytes = 0
+        self._check_error_told = False
+
+    @property
+    def start_mono_ns(self) -> int:
+        """CLOCK_MONOTONIC of tick 0."""
+        return self.drain.word(ring_layout.WORD_START_MONO_NS)
+
+    @property
+    def start_real_ns(self) -> int:
+        """CLOCK_REALTIME of tick 0, by the run's one offset."""
+        return self.drain.word(ring_layout.WORD_START_REAL_NS)
+
+    def take_ticks(self, tick: np.ndarray, command: np.ndarray, state: np.ndarray) -> None:
+        """Whole periods, in order."""
+        self.tick_count += len(tick)
+        self.last_tick = int(tick["tick"][-1])
+        if self.log:
+            self.log.write_ticks(tick, command, state, self.start_mono_ns, self.start_real_ns)
+        if self.check:
+            offset_ns = self.start_real_ns - self.start_mono_ns
+            times = (tick["end_mono_ns"] + offset_ns, tick["deadline_mono_ns"] + offset_ns)
+            self.check.take_ticks(tick, command, state, *times)
+        if self.live:
+            self.live.take_ticks(tick, command, state)
+
+    def take_misses(self, miss: np.ndarray) -> None:
+        """Missed deadlines, in order."""
+        if self.log:
+            self.log.write_miss(miss, self.start_real_ns, self.settings.period_ns)
+        if self.live:
+            self.live.take_misses(miss, self.start_real_ns, self.settings.period_ns)
+
+    def take_frames(self, can: np.ndarray) -> None:
+        """CAN frames, in order."""
+        if self.log:
+            self.log.write_can(can, self.start_mono_ns, self.start_real_ns)
+
+    def collect_check(self) -> None:
+        """Bring the cross-check's results into log and ring header, and a divergence into words."""
+        if not self.check:
+            return
+        for result in self.check.results():
+            name = self.settings.axis_names[result.axis]
+            if self.log:
+                self.log.write_check(name, result.check, result.log_real_ns, result.publish_real_ns)
+            if self.live:
+                self.live.take_check(name, result.check, result.log_real_ns)
+        self.drain.store(ring_layout.WORD_CHECK_LAG_NS, self.check.lag_ns)
+        for failure in self.check.failures():
+            before = self.drain.word(ring_layout.WORD_CHECK_FAILED_TICK)
+            if before == 0 or failure.tick + 1 < before:
+                self.drain.store(ring_layout.WORD_CHECK_FAILED_TICK, failure.tick + 1)
+            self.event(LOG_LEVEL_ERROR, failure.text)
+        if self.check.error and not self._check_error_told:
+            self._check_error_told = True
+            self.event(LOG_LEVEL_WARNING, f"cross-check stopped: {self.check.error}")
+
+    def write_statistics(self) -> None:
+        """The loop's histograms so far."""
+        if not self.tick_count or not (self.log or self.live):
+            return
+        record = statistics_record(self.drain.ring, self.last_tick, self.tick_count)
+        real_ns = self.start_real_ns + self.last_tick * self.settings.period_ns
+        if self.log:
+            self.log.write_statistics(record, real_ns + self.settings.period_ns, real_ns)
+        if self.live:
+            self.live.take_statistics(record, real_ns)
+
+    def event(self, level: int, text: str) -> None:
+        """A line in /log."""
+        if self.log:
+            self.log.write_log(level, "recorder", text, time.time_ns())
+        if self.live:
+            self.live.take_event(level, text, time.time_ns())
+
+    def account(self) -> None:
+        """Tell of ticks the ring dropped and bytes the disk refused since the last call."""
+        dropped = self.drain.dropped().ticks
+        if dropped > self._dropped_ticks:
+            self.event(
+                LOG_LEVEL_ERROR,
+                f"ring full: {dropped - self._dropped_ticks} ticks dropped near tick {self.last_tick}, {dropped} in all",
+            )
+            self._dropped_ticks = dropped
+        if self.log and self.log.lost_bytes > self._lost_bytes:
+            self.drain.store(ring_layout.WORD_RECORDER_LOST_BYTES, self.log.lost_bytes)
+            self.event(LOG_LEVEL_ERROR, f"disk refused {self.log.lost_bytes} bytes ({self.log.lost_messages} messages)")
+            self._lost_bytes = self.log.lost_bytes
+
+    def finish(self, reason: int) -> None:
+        """Everything after the last record: cross-check worked off, events, histograms, metadata, end of the file."""
+        killed = reason == status.EXIT_KILLED
+        if self.log:
+            self.log.flush()  # the run's own records are safe before anything is waited for
+        if self.check and not self.check.finish(CHECK_WAIT_ORPHAN_S if killed else CHECK_WAIT_S):
+            self.event(LOG_LEVEL_WARNING, f"cross-check unfinished: {self.check.left_out_ticks} ticks left out")
+        self.collect_check()
+        self.event(
+            LOG_LEVEL_WARNING if killed else LOG_LEVEL_INFO,
+            f"run ended: {status.EXIT_NAMES[reason]}; last tick {self.last_tick}",
+        )
+        if self.log:
+            self.log.flush()
+            self.account()
+            histograms = histogram_text(self.drain.ring).encode()
+            self.log.add_attachment(HISTOGRAM_ATTACHMENT, "application/json", histograms)
+            self.log.close(self._closing_metadata(reason))
+            self.drain.store(ring_layout.WORD_RECORDER_LOST_BYTES, self.log.lost_bytes)
+        if self.live:
+            self.live.close()
+
+    def summary(self, reason: int) -> dict:
+        """What the runner is told at the end; see docs/log.md."""
+        log = self.log
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        cpu_s = usage.ru_utime + usage.ru_stime
+        wall_s = (time.monotonic_ns() - self.begin_mono_ns) * 1e-9
+        dropped = self.drain.dropped()
+        return {
+            "log_path": str(log.path) if log else None,
+            "exit_reason": status.EXIT_NAMES[reason],
+            "tick_count": self.tick_count,
+            "last_tick": self.last_tick,
+            "messages": log.message_counts() if log else {},
+            "size_bytes": log.size_bytes if log else 0,
+            "lost_bytes": log.lost_bytes if log else 0,
+            "lost_messages": log.lost_messages if log else 0,
+            "dropped_ticks": dropped.ticks,
+            "dropped_misses": dropped.misses,
+            "dropped_frames": dropped.frames,
+            "ring_fill_ratio_max": round(self.drain.fill_ratio_max, 6),
+            "write_stall_ns_max": log.write_stall_ns_max if log else 0,
+            "cpu_s": round(cpu_s, 3),
+            "cpu_ratio": round(cpu_s / max(wall_s, 1e-9), 4),
+            "memory_bytes_max": usage.ru_maxrss * 1024,
+            "frames": frame_counts(self.drain.ring, self.settings.axis_names),
+            "check": self.check.summary() if self.check else None,
+            "error": None,
+        }
+
+    def _closing_metadata(self, reason: int) -> dict[str, dict[str, str]]:
+        """The `run` table again, now with how it ended; frame counters; cross-check figures."""
+        dropped = self.drain.dropped()
+        ended = {
+            "exit_reason": status.EXIT_NAMES[reason],
+            "exit_reason_code": reason,
+            "start_mono_ns": self.start_mono_ns,
+            "start_real_ns": self.start_real_ns,
+            "clock_offset_ns": self.start_real_ns - self.start_mono_ns,
+            "tick_count": self.tick_count,
+            "last_tick": self.last_tick,
+            "dropped_ticks": dropped.ticks,
+            "dropped_misses": dropped.misses,
+            "dropped_frames": dropped.frames,
+            "lost_bytes": self.log.lost_bytes,
+            "lost_messages": self.log.lost_messages,
+        }
+        run = {**self.settings.metadata.get("run", {}), **ended}
+        tables = {"run": run, "frames": frame_counts(self.drain.ring, self.settings.axis_names)}
+        if self.check:
+            tables["check"] = _flat(self.check.summary())
+        return {name: {key: str(value) for key, value in table.items()} for name, table in tables.items()}
+
+
+def _flat(table: dict, prefix: str = "") -> dict:
+    """Nested tables as one, keys joined by a dot."""
+    out = {}
+    for key, value in table.items():
+        if isinstance(value, dict):
+            out |= _flat(value, f"{prefix}{key}.")
+        else:
+            out[prefix + key] = value
+    return out
