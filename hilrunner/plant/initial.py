@@ -71,7 +71,7 @@ def _outlet(prm, pilot_pa, chamber_pa, setting_pa, supply_si, return_si):
     line, flow, spool = prm["tank_pressure_pa"], 0.0, 0.0
     for _ in range(_BISECTIONS):
         spool = 0.5 * (low + high)
-        line, flow, _ = solve_line(prm, chamber_pa, cbv_conductance(prm, spool), supply_si, return_si, line)
+        line, flow, _, _ = solve_line(prm, chamber_pa, cbv_conductance(prm, spool), supply_si, return_si, line)
         if resting_spool_m(prm, opening_force(prm, pilot_pa, chamber_pa, line, setting_pa)) > spool:
             low = spool
         else:
@@ -144,8 +144,8 @@ def _hold_lift(prm, load_n, valve_command, state):
     supply_a, return_a, supply_b, return_b = valve_conductances(prm, valve_command)
     _hold_pressures(prm, load_n, state)
     state[1] = 0.0
-    state[8], flow_1, _ = solve_line(prm, state[2], 0.0, supply_a, return_a, prm["tank_pressure_pa"])
-    state[9], flow_2, _ = solve_line(prm, state[3], 0.0, supply_b, return_b, prm["tank_pressure_pa"])
+    state[8], flow_1, _, _ = solve_line(prm, state[2], 0.0, supply_a, return_a, prm["tank_pressure_pa"])
+    state[9], flow_2, _, _ = solve_line(prm, state[3], 0.0, supply_b, return_b, prm["tank_pressure_pa"])
     state[4] = resting_spool_m(prm, opening_force(prm, state[9], state[2], state[8], prm["setting_1_pa"]))
     state[5] = resting_spool_m(prm, opening_force(prm, state[8], state[3], state[9], prm["setting_2_pa"]))
     if state[4] > 0.0 or state[5] > 0.0 or flow_1 != 0.0 or flow_2 != 0.0:

@@ -1,9 +1,9 @@
 """The first-principle models integrated through one period with inputs held: the engine `reference`."""
 
 from hilrunner.base import status
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import entry, hot
 from hilrunner.plant.line import ITERATION_LIMIT, valve_conductances
-from hilrunner.plant.rates_lift import exact_lines_at, lift_rates, mass_free_lift_rates
+from hilrunner.plant.rates_lift import exact_lines_at, lift_rates, mass_free_lift_rates, start_lines
 from hilrunner.plant.rates_lines import lift_lines_rates
 from hilrunner.plant.rates_paper import mass_free_paper_rates, paper_flows, paper_rates
 from hilrunner.plant.rk4 import make_rk4
@@ -16,25 +16,23 @@ _paper = make_rk4(paper_rates, 6)
 _paper_mass_free = make_rk4(mass_free_paper_rates, 5)
 
 
-@hot
+@entry  # cached by itself: what calls it need not compile it again
 def advance_lift(prm, load, load_scale, valve_command, period_s, count, fast, state):
     """`lift` through one period, exact line pressures; returns status.FLAG_SOLVER_LIMIT or 0."""
     context = (prm, load, load_scale, valve_conductances(prm, valve_command), 0)
-    lines = (state[8], state[9], 0)
+    lines = start_lines(state)
     if fast:
         y6 = (state[0], state[1], state[2], state[3], state[4], state[5])
         y6, lines = _lift_mass_free(context, y6, lines, period_s / count, count)
-        line_a, line_b, _, _, worst = exact_lines_at(context, y6[2], y6[3], y6[4], y6[5], lines)
-        store_mass_free_lift(prm, y6, line_a, line_b, state)
-        lines = (line_a, line_b, worst)
+        lines, _, _ = exact_lines_at(context, y6[2], y6[3], y6[4], y6[5], lines)
+        store_mass_free_lift(prm, y6, lines[0], lines[1], state)
     else:
         y = (state[0], state[1], state[2], state[3], state[4], state[5], state[6], state[7])
         y, lines = _lift(context, y, lines, period_s / count, count)
-        line_a, line_b, _, _, worst = exact_lines_at(context, y[2], y[3], y[4], y[5], lines)
+        lines, _, _ = exact_lines_at(context, y[2], y[3], y[4], y[5], lines)
         state[0], state[1], state[2], state[3] = y[0], y[1], y[2], y[3]
         state[4], state[5], state[6], state[7] = y[4], y[5], y[6], y[7]
-        state[8], state[9] = line_a, line_b
-        lines = (line_a, line_b, worst)
+        state[8], state[9] = lines[0], lines[1]
     return status.FLAG_SOLVER_LIMIT if lines[2] > ITERATION_LIMIT else 0
 
 
@@ -50,7 +48,7 @@ def store_mass_free_lift(prm, y, line_a_pa, line_b_pa, state):
     state[8], state[9] = line_a_pa, line_b_pa
 
 
-@hot
+@entry  # cached by itself: what calls it need not compile it again
 def advance_lift_lines(prm, load, load_scale, valve_command, period_s, count, state):
     """`lift-lines` through one period."""
     context = (prm, load, load_scale, valve_conductances(prm, valve_command))
@@ -62,7 +60,7 @@ def advance_lift_lines(prm, load, load_scale, valve_command, period_s, count, st
     state[5], state[6], state[7], state[8], state[9] = y[5], y[6], y[7], y[8], y[9]
 
 
-@hot
+@entry  # cached by itself: what calls it need not compile it again
 def advance_paper(prm, load, load_scale, valve_command, period_s, count, fast, state):
     """The article's circuit through one period; commands below 0 act as 0."""
     command = max(valve_command, 0.0)

@@ -3,7 +3,9 @@
 from hilrunner.base.compiled import hot
 from hilrunner.plant.hydraulics import opening_ratio, smooth_sign, two_sided_stop_force
 
-_BALANCE_TOLERANCE = 1e-12  # of the ratio speed / friction speed
+# of the ratio speed / friction speed; the step is taken, so what is left is its square
+_BALANCE_TOLERANCE = 1e-6
+_SATURATED = 20.0  # friction is constant to the last bit above
 _BALANCE_LIMIT = 60
 
 
@@ -42,33 +44,40 @@ def spool_acceleration(prm, opening_force_n, position_m, velocity_mps):
 @hot
 def mass_free_spool_speed(prm, opening_force_n, position_m):
     """Speed of a spool without mass: the root of the same force balance with m_c = 0; m/s."""
-    elastic = two_sided_stop_force(position_m, 0.0, prm["spool_stroke_m"], prm["spool_stop_stiffness_npm"], 0.0)
-    driving = opening_force_n - prm["spool_spring_npm"] * position_m + elastic
-    damping = prm["spool_damping_nspm"]
-    pushed = damping + prm["spool_stop_damping_spm"] * abs(elastic)
-    # the stop damps only while it pushes: not when the spool leaves faster than the stop can follow
-    speed = _speed_against_friction(prm, driving, pushed)
-    if elastic != 0.0 and elastic - (pushed - damping) * speed < 0.0 < elastic:
-        speed = _speed_against_friction(prm, driving - elastic, damping)
-    elif elastic != 0.0 and elastic - (pushed - damping) * speed > 0.0 > elastic:
-        speed = _speed_against_friction(prm, driving - elastic, damping)
-    return speed
+    return prm["friction_speed_mps"] * mass_free_spool_ratio(prm, opening_force_n, position_m, 0.0)
 
 
 @hot
-def _speed_against_friction(prm, driving_n, damping_nspm):
-    """The speed w with damping * w + f_c tanh(w / v_s) = driving force: Newton from below, monotone."""
-    scale = prm["friction_speed_mps"]
+def mass_free_spool_ratio(prm, opening_force_n, position_m, guess):
+    """mass_free_spool_speed over the friction speed v_s, from a guess of it (any number)."""
+    elastic = two_sided_stop_force(position_m, 0.0, prm["spool_stroke_m"], prm["spool_stop_stiffness_npm"], 0.0)
+    driving = opening_force_n - prm["spool_spring_npm"] * position_m + elastic
+    viscous = prm["spool_damping_nspm"] * prm["friction_speed_mps"]
     friction = prm["spool_friction_n"]
-    viscous = damping_nspm * scale
+    if elastic == 0.0:
+        return _speed_ratio(driving, viscous, friction, guess)
+    # the stop damps while it pushes, and never pulls: a spool that leaves faster than the stop follows is free of it
+    damping = prm["spool_stop_damping_spm"] * abs(elastic) * prm["friction_speed_mps"]
+    ratio = _speed_ratio(driving, viscous + damping, friction, guess)
+    push = elastic - damping * ratio
+    if push * elastic < 0.0:
+        ratio = _speed_ratio(driving - elastic, viscous, friction, ratio)
+    return ratio
+
+
+@hot
+def _speed_ratio(driving_n, viscous_n, friction_n, guess):
+    """The z with viscous z + f_c tanh z = driving force: Newton, from the guess where it helps."""
     size = abs(driving_n)
-    # both bounds hold because tanh z <= min(z, 1); the left side is concave, so Newton never overshoots the root
-    ratio = max(size / (viscous + friction), (size - friction) / viscous)
-    if ratio < 20.0:
+    # a bound from below because tanh z <= min(z, 1); the left side is concave, so Newton comes from below ever after
+    bound = max(size / (viscous_n + friction_n), (size - friction_n) / viscous_n)
+    ratio = bound
+    if bound < _SATURATED:
+        ratio = max(bound, guess if driving_n >= 0.0 else -guess)
         for _ in range(_BALANCE_LIMIT):
             sign = smooth_sign(ratio)
-            step = (size - viscous * ratio - friction * sign) / (viscous + friction * (1.0 - sign * sign))
-            ratio += step
-            if not step > _BALANCE_TOLERANCE * (1.0 + ratio):
+            step = (size - viscous_n * ratio - friction_n * sign) / (viscous_n + friction_n * (1.0 - sign * sign))
+            ratio = max(ratio + step, bound)
+            if abs(step) <= _BALANCE_TOLERANCE * (1.0 + ratio):
                 break
-    return scale * ratio if driving_n >= 0.0 else -scale * ratio
+    return ratio if driving_n >= 0.0 else -ratio

@@ -10,7 +10,7 @@ from hilrunner.base.compiled import entry
 from hilrunner.base.errors import StateError
 from hilrunner.plant.initial import initial_state, static_load_n
 from hilrunner.plant.line import valve_conductances
-from hilrunner.plant.rates_lift import exact_lines_at, lift_rates, mass_free_lift_rates
+from hilrunner.plant.rates_lift import exact_lines_at, lift_rates, mass_free_lift_rates, start_lines
 from hilrunner.plant.rates_lines import lift_lines_rates
 from hilrunner.plant.rates_paper import mass_free_paper_rates, paper_rates
 
@@ -49,13 +49,13 @@ def state_rates(parameters, load, load_scale, circuit, fast, valve_command, stat
         d = rates_out[i]
         d[:] = 0.0
         if circuit == status.CIRCUIT_LIFT and not fast:
-            line_a, line_b, _, _, _ = exact_lines_at(lift_context, y[2], y[3], y[4], y[5], (y[8], y[9], 0))
-            r8, _ = lift_rates(lift_context, (y[0], y[1], y[2], y[3], y[4], y[5], y[6], y[7]), (line_a, line_b, 0))
+            lines, _, _ = exact_lines_at(lift_context, y[2], y[3], y[4], y[5], start_lines(y))
+            r8, _ = lift_rates(lift_context, (y[0], y[1], y[2], y[3], y[4], y[5], y[6], y[7]), lines)
             for k in range(8):
                 d[k] = r8[k]
         elif circuit == status.CIRCUIT_LIFT:
-            line_a, line_b, _, _, _ = exact_lines_at(lift_context, y[2], y[3], y[4], y[5], (y[8], y[9], 0))
-            r6, _ = mass_free_lift_rates(lift_context, (y[0], y[1], y[2], y[3], y[4], y[5]), (line_a, line_b, 0))
+            lines, _, _ = exact_lines_at(lift_context, y[2], y[3], y[4], y[5], start_lines(y))
+            r6, _ = mass_free_lift_rates(lift_context, (y[0], y[1], y[2], y[3], y[4], y[5]), lines)
             for k in range(6):
                 d[k] = r6[k]
         elif circuit == status.CIRCUIT_LIFT_LINES:

@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 
-@hot
+@entry  # cached by itself: what calls it need not compile it again
 def advance(model, axis, valve_command, load_scale, period_s, state, scratch):
     """One axis through one period, inputs held.
 
@@ -49,7 +49,7 @@ def advance(model, axis, valve_command, load_scale, period_s, state, scratch):
     return flags | state_flags(model.parameters[axis], state)
 
 
-@hot
+@entry  # cached by itself: what calls it need not compile it again
 def advance_reference(model, axis, valve_command, load_scale, period_s, state):
     """`advance` with the first-principle model, whatever the axis' engine; returns solver flags."""
     prm = model.parameters[axis]
