@@ -78,16 +78,16 @@ def walk(buffer, position, end, messages, count):
 
 
 @entry
-def gather(buffer, messages, channel, size, target, lead):
-    """Copy the payloads of one channel that have the expected size, in order.
+def gather(buffer, messages, channel, size, spans, target):
+    """Copy parts of the payloads of one channel that have the expected size, in order.
 
     Args:
         buffer: u1[n], read.
         messages: MESSAGE[m], read.
         channel: channel id.
         size: expected payload bytes.
-        target: u1[k, lead + size], written; k at least the channel's messages.
-        lead: bytes left alone at the start of each row.
+        spans: int64[s, 3], read: first byte in the payload, byte count, first byte in the row.
+        target: u1[k, row size], written; k at least the channel's messages.
 
     Returns (rows written, messages of another size).
     """
@@ -100,8 +100,11 @@ def gather(buffer, messages, channel, size, target, lead):
             other += 1
             continue
         offset = messages[index]["offset"]
-        for byte in range(size):
-            target[row, lead + byte] = buffer[offset + byte]
+        for span in range(spans.shape[0]):
+            source = offset + spans[span, 0]
+            place = spans[span, 2]
+            for byte in range(spans[span, 1]):
+                target[row, place + byte] = buffer[source + byte]
         row += 1
     return row, other
 

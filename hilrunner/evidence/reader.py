@@ -10,6 +10,7 @@
 import fnmatch
 import re
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,13 +21,13 @@ from hilrunner.base.errors import LogError
 from hilrunner.evidence import mcap_walk, schema
 from hilrunner.evidence.mcap_scan import Contents, Scanner
 
-_LEAD = records.MESSAGE_OFFSET
 _SPARE_ROWS = 1024
 _SPARE_RATIO = 1.05
 _LARGEST_GROWTH = 4096.0
 _EVENTS_MAX = 10_000
 
-Columns = dict[str, tuple[str, ...] | None]
+Columns = dict[str, tuple[str, ...] | None]  # topic pattern -> fields to keep, None: all
+Consumer = Callable[[str, np.ndarray], None]  # (topic, rows); the rows are valid during the call only
 
 
 @dataclass(frozen=True)
@@ -114,17 +115,18 @@ class Run:
         return {axis: self.topic(f"/{axis}/check", records.CHECK) for axis in self.axis_names}
 
 
-def read_run(path: str | Path, columns: Columns | None = None) -> Run:
+def read_run(path: str | Path, columns: Columns | None = None, consumers: dict[str, Consumer] | None = None) -> Run:
     """Read a log.
 
     Args:
         path: an MCAP file written by hilrunner, in any state.
         columns: topic pattern (`/rt/tick`, `/*/state`) -> the fields to keep (None: all of them); topics that match no
             pattern are left out. Without it everything is kept.
+        consumers: topic pattern -> who gets its rows batch by batch instead of their being kept.
 
     Raises LogError when the file is missing, empty, no MCAP file, or holds no topic of ours.
     """
-    collector = _Collector(columns)
+    collector = _Collector(columns, consumers or {})
     scanner = Scanner(path, collector.take)
     collector.contents = scanner.contents
     collector.read_ratio = scanner.read_ratio
@@ -156,64 +158,57 @@ def read_run(path: str | Path, columns: Columns | None = None) -> Run:
     )
 
 
-class _TopicBuffer:
-    """Growing array of one channel's records, made as large as the rest of the file suggests: unused rows cost nothing."""
+class _Topic:
+    """One channel of ours: its records go into an array, or to a consumer batch by batch.
 
-    def __init__(self, topic: str, wire: np.dtype, keep: np.dtype) -> None:
+    The array is made as large as the rest of the file suggests: unused rows cost nothing.
+    """
+
+    def __init__(self, topic: str, wire: np.dtype, keep: np.dtype, consumer: Consumer | None) -> None:
         self.topic = topic
-        self.wire = wire
-        self.is_whole = schema.is_same(wire, keep)
-        self._missing = tuple(name for name in keep.names if name not in wire.names)
-        self._shared = tuple(name for name in keep.names if name in wire.names)
-        self._array = np.zeros(0, keep)
+        self.missing = schema.missing(wire, keep)
         self.count = 0
         self.other_size = 0
-
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """Fields of ours that the log's schema lacks."""
-        return self._missing
+        self._size = wire.itemsize - records.MESSAGE_OFFSET
+        self._spans = schema.copy_spans(wire, keep)
+        self._consumer = consumer
+        self._array = np.zeros(0, keep)
 
     def take(self, buffer: np.ndarray, messages: np.ndarray, channel: int, count: int, read_ratio: float) -> None:
-        """Append the `count` messages of `channel`; `read_ratio` of the file (0..1) has been read."""
-        if self.count + count > len(self._array):
-            self._grow(self.count + count, read_ratio)
-        size = self.wire.itemsize - _LEAD
-        if self.is_whole:
-            rows = self._array.view("u1").reshape(-1, self.wire.itemsize)[self.count : self.count + count]
-            rows[:, :_LEAD] = 0
-            taken, other = mcap_walk.gather(buffer, messages, channel, size, rows, _LEAD)
-        else:
-            staged = np.zeros(count, self.wire)
-            rows = staged.view("u1").reshape(-1, self.wire.itemsize)
-            taken, other = mcap_walk.gather(buffer, messages, channel, size, rows, _LEAD)
-            rows_taken = self._array[self.count : self.count + taken]
-            for name in self._shared:
-                rows_taken[name] = staged[name][:taken]
-            for name in self._missing:
-                rows_taken[name] = 0
+        """Take the `count` messages of `channel`; `read_ratio` of the file (0..1) has been read."""
+        start = 0 if self._consumer else self.count
+        if start + count > len(self._array):
+            self._grow(start, count, 1.0 if self._consumer else read_ratio)
+        rows = self._array[start : start + count]
+        for name in self.missing if "unused" not in rows.dtype.names else ("unused", *self.missing):
+            rows[name] = 0
+        target = rows.view("u1").reshape(count, rows.dtype.itemsize)
+        taken, other = mcap_walk.gather(buffer, messages, channel, self._size, self._spans, target)
         self.count += taken
         self.other_size += other
+        if self._consumer:
+            self._consumer(self.topic, rows[:taken])
 
     def array(self) -> np.ndarray:
-        """The records taken."""
-        return self._array[: self.count]
+        """The records taken; none of a topic with a consumer."""
+        return self._array[: 0 if self._consumer else self.count]
 
-    def _grow(self, needed: int, read_ratio: float) -> None:
-        expected = needed * min(_SPARE_RATIO / max(read_ratio, 1e-9), _LARGEST_GROWTH)
+    def _grow(self, kept: int, count: int, read_ratio: float) -> None:
+        expected = (kept + count) * min(_SPARE_RATIO / max(read_ratio, 1e-9), _LARGEST_GROWTH)
         grown = np.empty(int(expected) + _SPARE_ROWS, self._array.dtype)
-        grown[: self.count] = self._array[: self.count]
+        grown[:kept] = self._array[:kept]
         self._array = grown
 
 
 class _Collector:
     """Sorts batches of messages into topic buffers."""
 
-    def __init__(self, columns: Columns | None) -> None:
+    def __init__(self, columns: Columns | None, consumers: dict[str, Consumer]) -> None:
         self.contents = Contents()
         self.read_ratio = lambda: 1.0
         self._columns = columns
-        self._buffers: dict[int, _TopicBuffer | None] = {}
+        self._consumers = consumers
+        self._buffers: dict[int, _Topic | None] = {}
         self.own_topics: set[str] = set()
         self.foreign: set[str] = set()
         self.start_publish_ns = 0
@@ -251,9 +246,9 @@ class _Collector:
             except (struct.error, ValueError):
                 self.contents.note("a message of /log is damaged and was left out")
 
-    def buffers_in_order(self) -> list[_TopicBuffer]:
+    def buffers_in_order(self) -> list[_Topic]:
         """Buffers with records, a topic once."""
-        merged: dict[str, _TopicBuffer] = {}
+        merged: dict[str, _Topic] = {}
         for target in self._buffers.values():
             if target is not None and (target.topic not in merged or target.count > merged[target.topic].count):
                 merged[target.topic] = target
@@ -270,7 +265,7 @@ class _Collector:
                 names = ", ".join(target.missing)
                 self.contents.note(f"{target.topic}: written by another version, without {names}; read as 0")
 
-    def _open(self, channel: int) -> _TopicBuffer | None:
+    def _open(self, channel: int) -> _Topic | None:
         topic, schema_id, encoding = self.contents.channels[channel]
         schema_name, schema_encoding, text = self.contents.schemas.get(schema_id, ("", "", ""))
         if (schema_name, encoding) == ("rcl_interfaces/msg/Log", "cdr"):
@@ -284,11 +279,12 @@ class _Collector:
         self.own_topics.add(topic)
         if topic in ("/can/rx", "/can/tx") and "data" in wire.names:
             own = records.can_frame_record(wire["data"].shape[0] if wire["data"].shape else 1)
+        consumer = next((one for pattern, one in self._consumers.items() if fnmatch.fnmatchcase(topic, pattern)), None)
         if self._columns is None:
-            return _TopicBuffer(topic, wire, own)
+            return _Topic(topic, wire, own, consumer)
         for pattern, names in self._columns.items():
             if fnmatch.fnmatchcase(topic, pattern):
-                return _TopicBuffer(topic, wire, schema.select(own, names))
+                return _Topic(topic, wire, schema.select(own, names), consumer)
         return None
 
 

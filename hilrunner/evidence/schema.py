@@ -5,6 +5,7 @@ import re
 import numpy as np
 
 from hilrunner.base import records
+from hilrunner.base.records import MESSAGE_OFFSET
 
 _SIZES = {
     "bool": "u1", "byte": "u1", "char": "u1",
@@ -55,15 +56,32 @@ def own_layout(topic: str, axis_names: list[str] | None = None) -> np.dtype | No
     return None
 
 
-def is_same(a: np.dtype, b: np.dtype) -> bool:
-    """Same names, formats, places and size, so that bytes of one are bytes of the other."""
-    if a.itemsize != b.itemsize or a.names != b.names:
-        return False
-    return all(a.fields[n][0] == b.fields[n][0] and a.fields[n][1] == b.fields[n][1] for n in a.names)
-
-
 def select(layout: np.dtype, columns: tuple[str, ...] | None) -> np.dtype:
     """A layout with only `columns`, packed in that order; all of it for None."""
     if columns is None:
         return layout
     return np.dtype([(name, layout.fields[name][0]) for name in columns if name in layout.names])
+
+
+def copy_spans(wire: np.dtype, keep: np.dtype) -> np.ndarray:
+    """Which bytes of a payload (from the CDR header on) go where in a row of `keep`: int64[n, 3] for mcap_walk.gather.
+
+    Fields of the same name and format are copied; neighbours in both are one span.
+    """
+    spans: list[list[int]] = []
+    shared = [name for name in keep.names if name in wire.names and name != "unused"]
+    for name in sorted(shared, key=lambda one: wire.fields[one][1]):
+        (form, source), (own, place) = wire.fields[name][:2], keep.fields[name][:2]
+        if form != own:
+            continue
+        source -= MESSAGE_OFFSET
+        if spans and spans[-1][0] + spans[-1][1] == source and spans[-1][2] + spans[-1][1] == place:
+            spans[-1][1] += form.itemsize
+        else:
+            spans.append([source, form.itemsize, place])
+    return np.array(spans, np.int64).reshape(-1, 3)
+
+
+def missing(wire: np.dtype, keep: np.dtype) -> tuple[str, ...]:
+    """Fields of `keep` that `wire` lacks or has in another format."""
+    return tuple(name for name in keep.names if name not in wire.names or wire.fields[name][0] != keep.fields[name][0])

@@ -16,12 +16,15 @@ START_MONO_NS = 5_000_000_000_000
 START_REAL_NS = 1_790_000_000_000_000_000
 BLOCK_TICKS = 50_000
 AXIS = "lift"
-_PROFILE = """name = "synthetic"
+PROFILE = """name = "synthetic"
 [[axis]]
 name = "lift"
 [limits]
-miss_count_max = 0
-chamber_pressure_mpa_max = 30.0
+deadline_misses_max = 50
+wake_lateness_us_p999 = 300.0
+pressure_mpa_max = 30.0
+check_pressure_mpa_max = 0.02
+settling_ms_max = 500.0
 """
 
 
@@ -154,9 +157,9 @@ def write_run(
     path: str | Path,
     tick_count: int,
     seed: int = 1,
-    stall_every: int = 100_000,
+    stall_every: int = 7_777,
     data_size: int = 8,
-    profile_text: str = _PROFILE,
+    profile_text: str = PROFILE,
     edit=None,
 ) -> Path:
     """Write a log of `tick_count` grid periods.

@@ -1,0 +1,147 @@
+"""What a log says about its own run: profile, period, host, mode, versions, how it ended."""
+
+import json
+import tomllib
+from dataclasses import dataclass
+
+import numpy as np
+
+from hilrunner.base.errors import ProfileError
+from hilrunner.base.units import NS_PER_US
+from hilrunner.evidence.reader import Run
+from hilrunner.setup import host
+from hilrunner.setup.host_words import Finding, Grant
+from hilrunner.setup.profile import Profile, parse_profile
+
+PROFILE_ATTACHMENT = "profile.toml"
+_NS_PER_MS = 1_000_000
+DEFAULT_PERIOD_NS = _NS_PER_MS
+
+
+@dataclass(frozen=True)
+class RunFacts:
+    """Facts beside the measurements; `notes` says in words what is missing or doubtful."""
+
+    profile: Profile | None
+    profile_name: str
+    limits: dict[str, float]  # [limits] of the profile, also of one this version cannot read otherwise
+    period_ns: int
+    warm_up_ticks: int
+    bitrate: int  # 0: not known
+    exit_reason: str
+    mode_label: str  # judged again with the misses of the run
+    mode_reasons: tuple[str, ...]
+    findings: tuple[Finding, ...]
+    grants: tuple[dict, ...]
+    host: dict[str, str]  # facts of the host
+    provenance: dict[str, str]  # versions, revision, hashes, seeds
+    notes: tuple[str, ...]
+
+
+def read_facts(run: Run, miss_count: int = 0) -> RunFacts:
+    """Facts of a run; nothing is taken for granted, so a log of any age or state gives some.
+
+    Args:
+        miss_count: late ticks of the run, known once they are counted; a run with late ticks is not real-time verified.
+    """
+    notes: list[str] = []
+    table = run.metadata.get("run", {})
+    profile = _profile(run, notes)
+    period_ns = _period_ns(run, table, profile, notes)
+    warm_up = profile.bench.warm_up_ticks if profile else 0
+    warm_up = _number(table.get("warm_up_ticks"), warm_up)
+    label, reasons, findings, grants = _mode(run.metadata.get("host", {}), miss_count, notes)
+    exit_reason = table.get("exit_reason", "")
+    if not exit_reason:
+        notes.append("how the run ended is not in the log: it was not finished")
+    left_out = {"findings", "grants", "mode_label", "mode_reasons"}
+    return RunFacts(
+        profile=profile,
+        limits=_limits(run, profile),
+        profile_name=table.get("profile_name") or table.get("profile") or (profile.name if profile else "unknown"),
+        period_ns=period_ns,
+        warm_up_ticks=warm_up,
+        bitrate=_number(table.get("can_bitrate") or table.get("bitrate"), profile.can.bitrate if profile else 0),
+        exit_reason=exit_reason or "unknown",
+        mode_label=label,
+        mode_reasons=tuple(reasons),
+        findings=tuple(findings),
+        grants=tuple(grants),
+        host={key: value for key, value in run.metadata.get("host", {}).items() if key not in left_out},
+        provenance={key: value for key, value in table.items() if key != "exit_reason"},
+        notes=tuple(notes),
+    )
+
+
+def _profile(run: Run, notes: list[str]) -> Profile | None:
+    attached = run.attachments.get(PROFILE_ATTACHMENT)
+    if attached is None:
+        notes.append("the log carries no profile: no limits to judge by, period taken from the ticks")
+        return None
+    try:
+        return parse_profile(attached.text, f"{run.path}: {PROFILE_ATTACHMENT}")
+    except ProfileError as error:
+        notes.append(f"the profile in the log is not one of this version: {error}")
+        return None
+
+
+def _limits(run: Run, profile: Profile | None) -> dict[str, float]:
+    if profile is not None:
+        return dict(profile.limits)
+    try:
+        table = tomllib.loads(run.attachments[PROFILE_ATTACHMENT].text).get("limits", {})
+        return {key: float(value) for key, value in table.items()}
+    except (KeyError, tomllib.TOMLDecodeError, TypeError, ValueError, AttributeError):
+        return {}
+
+
+def _period_ns(run: Run, table: dict[str, str], profile: Profile | None, notes: list[str]) -> int:
+    told = _number(table.get("period_ns"), profile.bench.period_us * NS_PER_US if profile else 0)
+    ticks = run.tick
+    if told or len(ticks) < 2:
+        return told or DEFAULT_PERIOD_NS
+    steps = np.diff(ticks["tick"].astype(np.int64)[:1000])
+    spans = np.diff(ticks["deadline_mono_ns"][:1000])
+    measured = spans[steps > 0] / steps[steps > 0]
+    notes.append("the period is measured from the ticks")
+    return int(round(float(np.median(measured)))) if len(measured) else DEFAULT_PERIOD_NS
+
+
+def _mode(table: dict[str, str], miss_count: int, notes: list[str]) -> tuple[str, list[str], list, list]:
+    told = table.get("mode_label", "")
+    if not told:
+        notes.append("the log does not say what its host granted")
+        return "unknown", [], [], []
+    findings = [Finding(**row) for row in _rows(table.get("findings"), ("name", "value", "verdict", "remedy"), notes)]
+    grants = _rows(table.get("grants"), ("name", "asked", "got", "granted", "reason", "remedy"), notes)
+    if told == host.LABEL_SIMULATED:
+        return told, [], findings, grants
+    if not findings and not grants:
+        reasons = [reason for reason in table.get("mode_reasons", "").split("; ") if reason]
+        if miss_count:
+            reasons.append(f"{miss_count} ticks were late")
+        return (host.LABEL_BEST_EFFORT if reasons else told), reasons, [], []
+    reasons = host.mode_reasons([Grant(**row) for row in grants], findings, miss_count)
+    # the lesser of what the run itself said and what is judged now
+    if told == host.LABEL_BEST_EFFORT and not reasons:
+        reasons = [reason for reason in table.get("mode_reasons", "").split("; ") if reason]
+    label = host.LABEL_VERIFIED if told == host.LABEL_VERIFIED and not reasons else host.LABEL_BEST_EFFORT
+    return label, reasons, findings, grants
+
+
+def _rows(text: str | None, keys: tuple[str, ...], notes: list[str]) -> list[dict]:
+    if not text:
+        return []
+    try:
+        rows = json.loads(text)
+        return [{key: row[key] for key in keys} for row in rows]
+    except (ValueError, KeyError, TypeError):
+        notes.append("a table of host findings in the log cannot be read")
+        return []
+
+
+def _number(text, default: int) -> int:
+    try:
+        return int(text)
+    except (TypeError, ValueError):
+        return default

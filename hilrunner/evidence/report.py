@@ -1,0 +1,225 @@
+"""Everything a report says about one run, gathered once; text, JSON, `.hgrm` and HTML are views of it."""
+
+import hashlib
+import math
+import resource
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hilrunner.base import histogram_scale
+from hilrunner.base.errors import LogError
+from hilrunner.base.units import M_PER_MM
+from hilrunner.evidence.bus import BusTally, BusUse
+from hilrunner.evidence.check_use import CheckTally, CheckUse
+from hilrunner.evidence.facts import RunFacts, read_facts
+from hilrunner.evidence.latency import Latency, measure_latency
+from hilrunner.evidence.plant_use import AxisUse, measure_plant
+from hilrunner.evidence.reader import Columns, Event, Run, read_run
+from hilrunner.evidence.verdict import Measured, Verdict, judge
+from hilrunner.setup.limits import SETTLING_SPEED_MMPS
+
+COLUMNS: Columns = {
+    "/rt/tick": (
+        "tick",
+        "deadline_mono_ns",
+        "wake_mono_ns",
+        "end_mono_ns",
+        "receive_ns",
+        "decode_ns",
+        "step_ns",
+        "encode_ns",
+        "record_ns",
+        "skipped_count",
+        "flags",
+    ),
+    "/rt/miss": None,
+    "/rt/statistics": None,
+    "/can/*": BusTally.COLUMNS,
+    "/*/command": ("tick", "valve_command", "age_ns", "mode"),
+    "/*/state": (
+        "tick",
+        "rod_position_m",
+        "rod_velocity_mps",
+        "chamber_1_pressure_pa",
+        "chamber_2_pressure_pa",
+        "flags",
+    ),
+    "/*/check": CheckTally.COLUMNS,
+}  # what a report needs; the rest of an hour's log is never in memory
+
+
+@dataclass(frozen=True)
+class Report:
+    """One run, measured and judged."""
+
+    path: Path
+    size_bytes: int
+    facts: RunFacts
+    latency: Latency
+    bus: BusUse
+    axes: list[AxisUse]
+    checks: list[CheckUse]
+    verdict: Verdict
+    attachments: dict[str, tuple[int, str]]  # name -> bytes, sha256
+    events: tuple[Event, ...]
+    damage: tuple[str, ...]
+    foreign_topics: tuple[str, ...]
+    library: str
+
+
+def build_report(path: str | Path, reference_path: str | Path | None = None) -> Report:
+    """Read, measure and judge a run.
+
+    Args:
+        path: the log, in any state.
+        reference_path: CSV of the motion the rod was to follow (see `read_reference`), in place of the profile's wave.
+
+    Raises LogError when the log or the reference cannot be read at all.
+    """
+    frames, checked = BusTally(), CheckTally()
+    run = read_run(path, COLUMNS, {"/can/*": frames, "/*/check": checked})
+    facts = read_facts(run)
+    latency = measure_latency(run, facts, frames.responses_ns(facts.warm_up_ticks))
+    if latency.miss_count:
+        facts = read_facts(run, latency.miss_count)
+    bus = frames.result(facts.bitrate)
+    reference = read_reference(reference_path, run) if reference_path else None
+    speed = facts.limits.get("settling_speed_mmps", SETTLING_SPEED_MMPS)
+    axes = measure_plant(run, facts, speed, reference)
+    checks = checked.results(facts.period_ns)
+    return Report(
+        path=Path(path),
+        size_bytes=run.size_bytes,
+        facts=facts,
+        latency=latency,
+        bus=bus,
+        axes=axes,
+        checks=checks,
+        verdict=judge(facts.limits, Measured(latency, bus, axes, checks), facts.exit_reason),
+        attachments={
+            name: (len(one.data), hashlib.sha256(one.data).hexdigest()) for name, one in run.attachments.items()
+        },
+        events=run.events,
+        damage=run.damage,
+        foreign_topics=run.foreign_topics,
+        library=run.library,
+    )
+
+
+def read_reference(path: str | Path, run: Run) -> dict[str, np.ndarray]:
+    """A reference motion from CSV: a header `time_s,<axis>_mm[,…]` or `time_s,rod_position_mm` for every axis, then numbers.
+
+    Time counts from tick 0. Returns axis -> float64[n, 2], s and m. Raises LogError.
+    """
+    place = str(path)
+    try:
+        with open(path, encoding="utf-8") as file:
+            head = [name.strip() for name in file.readline().split(",")]
+            rows = np.loadtxt(file, delimiter=",", ndmin=2)
+    except (OSError, UnicodeDecodeError, ValueError) as error:
+        raise LogError(place, f"cannot be read as a reference motion: {error}", "CSV with a header line") from None
+    if len(head) < 2 or head[0] != "time_s" or rows.shape[1] != len(head) or not np.isfinite(rows).all():
+        raise LogError(place, f"columns {', '.join(head)}", "time_s, then <axis>_mm or rod_position_mm, finite numbers")
+    if np.any(np.diff(rows[:, 0]) <= 0):
+        raise LogError(place, "times do not increase", "time_s in increasing order")
+    reference = {}
+    for axis in run.axis_names:
+        name = next((one for one in (f"{axis}_mm", "rod_position_mm") if one in head), None)
+        if name is not None:
+            reference[axis] = np.column_stack((rows[:, 0], rows[:, head.index(name)] * M_PER_MM))
+    if not reference:
+        wanted = ", ".join(f"{axis}_mm" for axis in run.axis_names)
+        raise LogError(place, f"no column for an axis of the run: {', '.join(head)}", f"{wanted} or rod_position_mm")
+    return reference
+
+
+def as_dict(report: Report) -> dict:
+    """The report as plain JSON values; NaN and infinity become null."""
+    latency = report.latency
+    table = {
+        "log": str(report.path),
+        "size_bytes": report.size_bytes,
+        "profile": report.facts.profile_name,
+        "mode": report.facts.mode_label,
+        "mode_reasons": list(report.facts.mode_reasons),
+        "exit_reason": report.facts.exit_reason,
+        "verdict": {
+            "passed": report.verdict.passed,
+            "exit_code": report.verdict.exit_code,
+            "limits": [asdict(judgement) for judgement in report.verdict.judgements],
+        },
+        "latency": {
+            "period_ns": latency.period_ns,
+            "tick_count": latency.tick_count,
+            "warm_up_ticks": latency.warm_up_ticks,
+            "duration_s": latency.duration_s,
+            "miss_count": latency.miss_count,
+            "skipped_count": latency.skipped_count,
+            "lost_count": latency.lost_count,
+            "causes": latency.causes,
+            "worst_misses": [asdict(miss) for miss in latency.misses],
+            "worst_wake": [{"tick": tick, "wake_lateness_ns": value} for tick, value in latency.worst_wake],
+            "distributions_ns": {
+                name: {**one.values_ns, "mean": one.mean_ns, "count": one.count, "source": one.source}
+                for name, one in latency.distributions.items()
+            },
+        },
+        "bus": {key: value for key, value in asdict(report.bus).items() if key != "load_per_s"},
+        "axes": [{key: value for key, value in asdict(axis).items() if key != "traces"} for axis in report.axes],
+        "cross_check": [{key: value for key, value in asdict(one).items() if key != "traces"} for one in report.checks],
+        "host": {
+            "facts": report.facts.host,
+            "findings": [finding.as_dict() for finding in report.facts.findings],
+            "grants": list(report.facts.grants),
+        },
+        "provenance": report.facts.provenance,
+        "attachments": {
+            name: {"size_bytes": size, "sha256": digest} for name, (size, digest) in report.attachments.items()
+        },
+        "notes": list(report.facts.notes),
+        "damage": list(report.damage),
+        "foreign_topics": list(report.foreign_topics),
+        "written_by": report.library,
+    }
+    return finite(table)
+
+
+def finite(value):
+    """The same values with NaN and infinity as None, which JSON has."""
+    if isinstance(value, dict):
+        return {key: finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(one) for one in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def hgrm_texts(report: Report) -> dict[str, str]:
+    """Quantity -> percentile distribution as HdrHistogram writes it, in us; quantities without samples are left out."""
+    return {
+        name: histogram_scale.hgrm(one.row, one.extreme)
+        for name, one in report.latency.distributions.items()
+        if one.row.any()
+    }
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a command used so far."""
+
+    wall_s: float
+    memory_bytes_max: int
+
+    def sentence(self, what: str) -> str:
+        """`report of … in 3.2 s with at most 410 MB`."""
+        return f"{what} in {self.wall_s:.1f} s with at most {self.memory_bytes_max / 1e6:.0f} MB of memory"
+
+
+def cost_since(begin_mono_ns: int) -> Cost:
+    """Wall time since `begin_mono_ns` and the largest resident memory of this process."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return Cost((time.monotonic_ns() - begin_mono_ns) * 1e-9, peak)
