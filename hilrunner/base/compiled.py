@@ -1,40 +1,64 @@
-"""How this project compiles: one decorator for inner functions, one for cached entry points, one cache folder a source state.
+"""How this project compiles: one decorator for inner functions, one for cached ones, one cache folder a room and source state.
 
-Numba's own cache looks only at the file of the cached function, not at what it calls; so the cache folder is named by a
-hash over all compiled rooms, and a change anywhere makes a fresh one. Import this before numba.
+Numba's own cache looks only at the file of the cached function, not at what it calls. So a cached function is kept in a folder
+named by a hash over every file it may call: its own room and the rooms below it. A change anywhere below makes a fresh
+folder; a change above costs nothing. Import this before numba.
 """
 
 import hashlib
 import os
+from functools import cache
 from pathlib import Path
 
-_ROOMS = ("base", "plant", "realtime")
+_COMPILED_ROOMS = ("base", "plant", "realtime")  # lowest first; each may call those before it
+_ROOT = Path(__file__).resolve().parent.parent
 
 
-def source_hash() -> str:
-    """Hash of every source file of the compiled rooms."""
-    root = Path(__file__).resolve().parent.parent
+@cache
+def _room_digest(room: str) -> bytes:
     digest = hashlib.sha256()
-    for room in _ROOMS:
-        for path in sorted((root / room).glob("*.py")):
-            digest.update(path.name.encode())
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
+    for path in sorted((_ROOT / room).glob("*.py")):
+        digest.update(path.name.encode())
+        digest.update(path.read_bytes())
+    return digest.digest()
 
 
-def cache_folder() -> Path:
-    """Where compiled entry points are kept: $HILRUNNER_CACHE or the user's cache folder, one subfolder a source state."""
+def source_hash(room: str = "realtime") -> str:
+    """Hash of every source file that code of this room may be compiled from."""
+    rooms = [room]
+    below = _COMPILED_ROOMS
+    if room in _COMPILED_ROOMS:
+        below = _COMPILED_ROOMS[: _COMPILED_ROOMS.index(room)]
+    rooms.extend(below)
+    return hashlib.sha256(b"".join(_room_digest(name) for name in rooms)).hexdigest()[:16]
+
+
+def cache_folder(room: str = "realtime") -> Path:
+    """Where compiled code of a room is kept: $HILRUNNER_CACHE or the user's cache folder, one subfolder a source state."""
     base = os.environ.get("HILRUNNER_CACHE") or os.path.join(
         os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache"), "hilrunner"
     )
-    return Path(base) / source_hash()
+    return Path(base) / f"{room}-{source_hash(room)}"
 
 
-os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder()))
-
-from numba import njit  # noqa: E402  (the cache folder must be set first)
+import numba  # noqa: E402  (nothing of numba may be imported before the cache folder can be chosen)
 
 # Inner functions: compiled into whoever calls them. No fast-math: a replay must give the same bits.
-hot = njit(nogil=True, error_model="numpy")
-# Entry points called from Python: cached on disk with everything they call.
-entry = njit(nogil=True, error_model="numpy", cache=True)
+hot = numba.njit(nogil=True, error_model="numpy")
+_cached = numba.njit(nogil=True, error_model="numpy", cache=True)
+
+
+def entry(function):
+    """Compiled and kept on disk: functions called from Python, and large inner ones that several of those share.
+
+    Module-level functions only: a closure over other compiled functions has no name to be found again by.
+    """
+    parts = function.__module__.split(".")
+    room = parts[1] if len(parts) > 2 else "realtime"
+    before = numba.config.CACHE_DIR
+    # read when the decorator builds the function's cache; an explicit NUMBA_CACHE_DIR of the user wins
+    numba.config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR") or str(cache_folder(room))
+    try:
+        return _cached(function)
+    finally:
+        numba.config.CACHE_DIR = before

@@ -20,7 +20,7 @@ _DATA_AT = 8  # data bytes in struct can_frame and struct canfd_frame
 _FD_FLAGS = 0x04  # CANFD_FDF
 
 
-@hot
+@entry  # cached by itself: what calls it need not compile it again
 def decode_stage(bench, tick, frame_count):
     """Take the frames of this period: check each, keep the newest valid command of every axis, count all.
 
@@ -60,7 +60,7 @@ def _decode_one(bench, tick, k):
     return np.int64(axis), np.int64(code)
 
 
-@hot
+@entry  # cached by itself: what calls it need not compile it again
 def step_stage(bench, tick, period_count):
     """Age the commands and advance every axis by `period_count` grid periods, the last of which ends this tick.
 
@@ -134,7 +134,7 @@ def measure(bench, tick):
     faults.disturb_sensors(bench.faults, tick, bench.quantity)
 
 
-@hot
+@entry  # cached by itself: what calls it need not compile it again
 def encode_stage(bench, tick):
     """Fill the outbox with the measurements due at this tick; returns how many frames."""
     measure(bench, tick)

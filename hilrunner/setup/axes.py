@@ -62,7 +62,7 @@ def initial_states(loaded: LoadedProfile, plants: list[AxisPlant], waves: list[n
     """Consistent states before the first tick, valve neutral: float64[axis, STATE_SIZE]."""
     rows = []
     for axis, plant, wave in zip(loaded.profile.axis, plants, waves, strict=True):
-        scale = plant_wave.load_scale(wave, 0.0)
+        scale = plant_wave.load_scale_series(wave, np.zeros(1))[0]
         rows.append(initial_state(plant, axis.initial_position_mm * M_PER_MM, 0.0, float(scale)))
     return np.array(rows)
 
@@ -72,7 +72,7 @@ def make_waves(loaded: LoadedProfile) -> list[np.ndarray]:
     waves = []
     for axis in loaded.profile.axis:
         if axis.wave is None:
-            waves.append(plant_wave.no_wave())
+            waves.append(plant_wave.no_heave())
         else:
             waves.append(
                 plant_wave.heave_components(axis.wave.significant_height_m, axis.wave.peak_period_s, axis.wave.seed)
