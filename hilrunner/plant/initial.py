@@ -195,13 +195,13 @@ def _find(parameters, circuit, load_n, valve_command, state):
 
 
 @entry
-def _force_at(knots, coefficients, inverse_spacing, x_m):
-    return load_force_n(knots, coefficients, len(knots), inverse_spacing, x_m)
+def _force_at(loads, x_m):
+    return load_force_n(loads[0], x_m)
 
 
 def static_load_n(load: LoadTable, x_m: float) -> float:
     """F_L(x), for cold code; N."""
-    return float(_force_at(load.knots_m, load.coefficients, load.inverse_spacing_pm, x_m))
+    return float(_force_at(load.record(), x_m))
 
 
 def initial_state(axis_plant, rod_position_m: float, valve_command: float = 0.0, load_scale: float = 1.0) -> np.ndarray:

@@ -10,13 +10,24 @@ from hilrunner.base.compiled import hot
 from hilrunner.base.errors import ProfileError
 
 GRAVITY_MPS2 = 9.81
-SEGMENT_COEFFICIENTS = (
-    8  # force c0..c3, mass c0..c3; value = c0 + d (c1 + d (c2 + d c3)), d from the segment's left knot
+KNOT_LIMIT = 129
+# columns of a coefficient row: force c0..c3, mass c0..c3; value = c0 + d (c1 + d (c2 + d c3)), d from the left knot
+SEGMENT_COEFFICIENTS = 8
+
+# A load as compiled code reads it. One flat record: passing arrays from function to function costs reference counts.
+LOAD = np.dtype(
+    [
+        ("knot_count", "i8"),
+        ("inverse_spacing_pm", "f8"),  # 1 / knot distance where uniform, else 0
+        ("has_mass", "i8"),  # 0: the mass columns are zero
+        ("knots_m", "f8", (KNOT_LIMIT,)),
+        ("coefficients", "f8", (KNOT_LIMIT + 1, SEGMENT_COEFFICIENTS)),
+    ]
 )
 
 
 class LoadTable(NamedTuple):
-    """Load of one axis."""
+    """Load of one axis, cold."""
 
     knots_m: np.ndarray  # (n,) float64, increasing, n >= 2
     coefficients: np.ndarray  # (n + 1, 8) float64: rows 0 and n are the linear continuations outside
@@ -26,24 +37,41 @@ class LoadTable(NamedTuple):
     @property
     def force_n(self) -> np.ndarray:
         """The force at the knots, (n,) N."""
-        last = self.coefficients[-1, 0]
-        return np.append(self.coefficients[1:-1, 0], last)
+        return self.coefficients[1:, 0]
+
+    @property
+    def mass_kg(self) -> np.ndarray:
+        """The equivalent mass at the knots, (n,) kg."""
+        return self.coefficients[1:, 4]
+
+    def record(self) -> np.ndarray:
+        """The same as a (1,) LOAD record array."""
+        packed = np.zeros(1, LOAD)
+        count = len(self.knots_m)
+        packed["knot_count"] = count
+        packed["inverse_spacing_pm"] = self.inverse_spacing_pm
+        packed["has_mass"] = self.has_mass
+        packed["knots_m"][0, :count] = self.knots_m
+        packed["coefficients"][0, : count + 1] = self.coefficients
+        return packed
 
 
 @hot
-def segment_of(knots_m, knot_count, inverse_spacing_pm, x_m):
+def segment_of(load, x_m):
     """Row of the coefficients that holds x: 0 left of the knots, knot_count right of them; NaN gives 0."""
-    if not x_m >= knots_m[0]:
+    knots = load["knots_m"]
+    last = load["knot_count"] - 1
+    if not x_m >= knots[0]:
         return 0
-    if x_m >= knots_m[knot_count - 1]:
-        return knot_count
-    if inverse_spacing_pm > 0.0:
-        return 1 + min(int((x_m - knots_m[0]) * inverse_spacing_pm), knot_count - 2)
+    if x_m >= knots[last]:
+        return last + 1
+    if load["inverse_spacing_pm"] > 0.0:
+        return 1 + min(int((x_m - knots[0]) * load["inverse_spacing_pm"]), last - 1)
     low = 0
-    high = knot_count - 1
+    high = last
     while high - low > 1:
         middle = (low + high) >> 1
-        if x_m >= knots_m[middle]:
+        if x_m >= knots[middle]:
             low = middle
         else:
             high = middle
@@ -51,26 +79,25 @@ def segment_of(knots_m, knot_count, inverse_spacing_pm, x_m):
 
 
 @hot
-def segment_offset(knots_m, knot_count, row, x_m):
-    """Distance of x from the knot its row of coefficients starts at."""
-    return x_m - knots_m[min(max(row - 1, 0), knot_count - 1)]
-
-
-@hot
-def load_force_n(knots_m, coefficients, knot_count, inverse_spacing_pm, x_m):
+def load_force_n(load, x_m):
     """Static load force at rod position x, positive against extension; N."""
-    row = segment_of(knots_m, knot_count, inverse_spacing_pm, x_m)
-    d = segment_offset(knots_m, knot_count, row, x_m)
-    return coefficients[row, 0] + d * (coefficients[row, 1] + d * (coefficients[row, 2] + d * coefficients[row, 3]))
+    row = segment_of(load, x_m)
+    d = x_m - load["knots_m"][max(row - 1, 0)]
+    c = load["coefficients"]
+    return c[row, 0] + d * (c[row, 1] + d * (c[row, 2] + d * c[row, 3]))
 
 
 @hot
-def load_mass_kg(knots_m, coefficients, knot_count, inverse_spacing_pm, x_m):
-    """Equivalent mass of the load at the rod and its slope over x; kg, kg/m."""
-    row = segment_of(knots_m, knot_count, inverse_spacing_pm, x_m)
-    d = segment_offset(knots_m, knot_count, row, x_m)
-    c1, c2, c3 = coefficients[row, 5], coefficients[row, 6], coefficients[row, 7]
-    return coefficients[row, 4] + d * (c1 + d * (c2 + d * c3)), c1 + d * (2.0 * c2 + d * 3.0 * c3)
+def load_force_and_mass(load, x_m):
+    """Static load force, equivalent mass of the load at the rod, and the slope of that mass; N, kg, kg/m."""
+    row = segment_of(load, x_m)
+    d = x_m - load["knots_m"][max(row - 1, 0)]
+    c = load["coefficients"]
+    force = c[row, 0] + d * (c[row, 1] + d * (c[row, 2] + d * c[row, 3]))
+    if load["has_mass"] == 0:
+        return force, 0.0, 0.0
+    c1, c2, c3 = c[row, 5], c[row, 6], c[row, 7]
+    return force, c[row, 4] + d * (c1 + d * (c2 + d * c3)), c1 + d * (2.0 * c2 + d * 3.0 * c3)
 
 
 def from_table(x_m, force_n, mass_kg=None) -> LoadTable:
@@ -82,7 +109,7 @@ def from_table(x_m, force_n, mass_kg=None) -> LoadTable:
         mass_kg: (n,) equivalent mass, kg; None: the load has no inertia of its own.
 
     Raises:
-        ProfileError: fewer than two knots, knots not increasing, values not finite, a negative mass.
+        ProfileError: fewer than two knots or more than KNOT_LIMIT, knots not increasing, values not finite, a negative mass.
     """
     x = np.ascontiguousarray(x_m, dtype=np.float64)
     force = np.ascontiguousarray(force_n, dtype=np.float64)
@@ -100,6 +127,8 @@ def _check_table(x: np.ndarray, force: np.ndarray, mass: np.ndarray) -> None:
     place = "load table"
     if x.ndim != 1 or len(x) < 2 or force.shape != x.shape or mass.shape != x.shape:
         raise ProfileError(place, f"shapes {x.shape}, {force.shape}, {mass.shape}", "equal lengths, at least 2 knots")
+    if len(x) > KNOT_LIMIT:
+        raise ProfileError(place, f"{len(x)} knots", f"at most {KNOT_LIMIT}", "thin the table out")
     if not (np.isfinite(x).all() and np.isfinite(force).all() and np.isfinite(mass).all()):
         raise ProfileError(place, "a value is not finite", "numbers")
     if np.any(np.diff(x) <= 0.0):
@@ -208,5 +237,4 @@ def perturbed(table: LoadTable, std_ratio: float, seed: int) -> LoadTable:
     if not 0.0 <= std_ratio <= 1.0:
         raise ProfileError("load perturbation", f"standard deviation ratio {std_ratio:g}", "0 to 1")
     factor = 1.0 + np.random.default_rng(seed).normal(0.0, std_ratio, len(table.knots_m))
-    mass = np.append(table.coefficients[1:-1, 4], table.coefficients[-1, 4])
-    return from_table(table.knots_m, table.force_n * factor, mass if table.has_mass else None)
+    return from_table(table.knots_m, table.force_n * factor, table.mass_kg if table.has_mass else None)

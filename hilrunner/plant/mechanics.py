@@ -2,7 +2,7 @@
 
 from hilrunner.base.compiled import hot
 from hilrunner.plant.hydraulics import softened_bulk_modulus, two_sided_stop_force
-from hilrunner.plant.load import segment_of, segment_offset
+from hilrunner.plant.load import load_force_and_mass
 
 _VOLUME_FLOOR = 0.05  # of the dead volume: an end stop pressed in further must not turn a volume negative
 
@@ -11,13 +11,10 @@ _VOLUME_FLOOR = 0.05  # of the dead volume: an end stop pressed in further must 
 def rod_acceleration(prm, load, load_scale, position_m, velocity_mps, pressure_1_pa, pressure_2_pa):
     """M(x) v' = A1 p1 - A2 p2 - C v - s F_L(x) - M'(x) v^2 / 2 + stops; m/s^2.
 
-    `load` is (knots, coefficients, knot_count, inverse_spacing, has_mass) of plant.load.LoadTable; `load_scale` is s.
+    `load` is a plant.load.LOAD record; `load_scale` is s.
     The M' term is Lagrange's for an equivalent mass that depends on x.
     """
-    knots, coefficients, knot_count, inverse_spacing, has_mass = load
-    row = segment_of(knots, knot_count, inverse_spacing, position_m)
-    d = segment_offset(knots, knot_count, row, position_m)
-    load_n = coefficients[row, 0] + d * (coefficients[row, 1] + d * (coefficients[row, 2] + d * coefficients[row, 3]))
+    load_n, load_mass, mass_slope = load_force_and_mass(load, position_m)
     force = (
         prm["bore_area_m2"] * pressure_1_pa
         - prm["rod_side_area_m2"] * pressure_2_pa
@@ -31,12 +28,8 @@ def rod_acceleration(prm, load, load_scale, position_m, velocity_mps, pressure_1
             prm["end_stop_damping_spm"],
         )
     )
-    mass = prm["mass_kg"]
-    if has_mass:
-        c1, c2, c3 = coefficients[row, 5], coefficients[row, 6], coefficients[row, 7]
-        mass += coefficients[row, 4] + d * (c1 + d * (c2 + d * c3))
-        force -= 0.5 * (c1 + d * (2.0 * c2 + d * 3.0 * c3)) * velocity_mps * velocity_mps
-    return force / mass
+    force -= 0.5 * mass_slope * velocity_mps * velocity_mps
+    return force / (prm["mass_kg"] + load_mass)
 
 
 @hot

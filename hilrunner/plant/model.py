@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hilrunner.base import status
-from hilrunner.base.compiled import hot
 from hilrunner.base.errors import ProfileError
 from hilrunner.plant.load import LoadTable
 from hilrunner.plant.network import NetworkBank, assemble_bank
@@ -54,11 +53,7 @@ class PlantModel(NamedTuple):
     engine: np.ndarray  # (axes,) int64 status.ENGINE_*
     fast: np.ndarray  # (axes,) bool: spools without mass in the reference engine
     substep_count: np.ndarray  # (axes,) int64
-    load_knots_m: np.ndarray  # (axes, n) float64, padded
-    load_coefficients: np.ndarray  # (axes, n + 1, 8) float64, rows as in plant.load.LoadTable
-    load_knot_count: np.ndarray  # (axes,) int64
-    load_inverse_spacing_pm: np.ndarray  # (axes,) float64
-    load_has_mass: np.ndarray  # (axes,) bool
+    load: np.ndarray  # (axes,) plant.load.LOAD
     network: NetworkBank
 
 
@@ -75,7 +70,6 @@ def assemble(axes: Sequence[AxisPlant], period_s: float = 1e-3) -> PlantModel:
         raise ProfileError("plant", "no axis", "one or more")
     for index, axis in enumerate(axes):
         _check_end_stops(axis, index)
-    knots, coefficients = _padded_loads([axis.load for axis in axes])
     model = PlantModel(
         parameters=np.concatenate([axis.parameters for axis in axes]),
         circuit=np.array([axis.circuit for axis in axes], np.int64),
@@ -84,27 +78,12 @@ def assemble(axes: Sequence[AxisPlant], period_s: float = 1e-3) -> PlantModel:
         substep_count=np.array(
             [axis.substep_count or default_substep_count(axis, period_s) for axis in axes], np.int64
         ),
-        load_knots_m=knots,
-        load_coefficients=coefficients,
-        load_knot_count=np.array([len(axis.load.knots_m) for axis in axes], np.int64),
-        load_inverse_spacing_pm=np.array([axis.load.inverse_spacing_pm for axis in axes], np.float64),
-        load_has_mass=np.array([axis.load.has_mass for axis in axes], np.bool_),
+        load=np.concatenate([axis.load.record() for axis in axes]),
         network=assemble_bank([axis.networks for axis in axes]),
     )
     for array in model[:-1]:
         array.flags.writeable = False
     return model
-
-
-def _padded_loads(loads: list[LoadTable]) -> tuple[np.ndarray, np.ndarray]:
-    most = max(len(load.knots_m) for load in loads)
-    knots = np.zeros((len(loads), most))
-    coefficients = np.zeros((len(loads), most + 1, loads[0].coefficients.shape[1]))
-    for index, load in enumerate(loads):
-        count = len(load.knots_m)
-        knots[index, :count] = load.knots_m
-        coefficients[index, : count + 1] = load.coefficients
-    return knots, coefficients
 
 
 def _check_end_stops(axis: AxisPlant, index: int) -> None:
@@ -123,15 +102,3 @@ def _check_end_stops(axis: AxisPlant, index: int) -> None:
                 f"at least {2e9 * lost:.0f} mm3, or a position range that keeps away from this end",
                 "enlarge it, stiffen end_stop_stiffness_npmm, or narrow the position range",
             )
-
-
-@hot
-def load_of(model, axis):
-    """The load of one axis as the right-hand sides take it: (knots, coefficients, knot count, inverse spacing, has mass)."""
-    return (
-        model.load_knots_m[axis],
-        model.load_coefficients[axis],
-        model.load_knot_count[axis],
-        model.load_inverse_spacing_pm[axis],
-        model.load_has_mass[axis],
-    )

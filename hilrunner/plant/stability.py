@@ -39,9 +39,10 @@ def active_places(circuit: int, fast: bool) -> tuple[int, ...]:
 
 
 @entry
-def state_rates(parameters, load, load_scale, circuit, fast, valve_command, states, rates_out):
+def state_rates(parameters, loads, load_scale, circuit, fast, valve_command, states, rates_out):
     """Time derivatives of states (n, 10) into rates_out (n, 10); derived places get 0. Line pressures are solved first."""
     prm = parameters[0]
+    load = loads[0]
     conductances = valve_conductances(prm, valve_command)
     lift_context = (prm, load, load_scale, conductances, 0)
     for i in range(states.shape[0]):
@@ -73,11 +74,6 @@ def state_rates(parameters, load, load_scale, circuit, fast, valve_command, stat
                 d[0], d[1], d[2], d[3], d[5], d[7] = r[0], r[1], r[2], r[3], r[4], r[5]
 
 
-def load_tuple(load) -> tuple:
-    """A LoadTable as the compiled right-hand sides take it."""
-    return (load.knots_m, load.coefficients, len(load.knots_m), float(load.inverse_spacing_pm), bool(load.has_mass))
-
-
 def jacobians(axis_plant, states: np.ndarray, valve_command: float, load_scale: float = 1.0) -> np.ndarray:
     """(n, m, m) Jacobians over the active places, central differences; units as the state's."""
     fast = spools_have_no_mass(axis_plant)
@@ -90,7 +86,7 @@ def jacobians(axis_plant, states: np.ndarray, valve_command: float, load_scale: 
             moved[:, place] += sign * _STEP[place]
             rates = np.empty_like(moved)
             state_rates(
-                axis_plant.parameters, load_tuple(axis_plant.load), float(load_scale), axis_plant.circuit,
+                axis_plant.parameters, axis_plant.load.record(), float(load_scale), axis_plant.circuit,
                 fast, float(valve_command), moved, rates,
             )  # fmt: skip
             sides.append(rates[:, places])

@@ -6,7 +6,7 @@ from hilrunner.base import status
 from hilrunner.base.compiled import entry, hot
 from hilrunner.plant.initial import initial_state
 from hilrunner.plant.load import load_force_n
-from hilrunner.plant.model import SCRATCH_SIZE, AxisPlant, PlantModel, assemble, load_of
+from hilrunner.plant.model import SCRATCH_SIZE, AxisPlant, PlantModel, assemble
 from hilrunner.plant.reference import advance_lift, advance_lift_lines, advance_paper
 from hilrunner.plant.stability import default_substep_count, stability_limit_s
 from hilrunner.plant.surrogate import advance_surrogate
@@ -53,7 +53,7 @@ def advance(model, axis, valve_command, load_scale, period_s, state, scratch):
 def advance_reference(model, axis, valve_command, load_scale, period_s, state):
     """`advance` with the first-principle model, whatever the axis' engine; returns solver flags."""
     prm = model.parameters[axis]
-    load = load_of(model, axis)
+    load = model.load[axis]
     count = model.substep_count[axis]
     circuit = model.circuit[axis]
     flags = 0
@@ -84,13 +84,7 @@ def state_flags(prm, state):
 @hot
 def current_load_force(model, axis, position_m, load_scale):
     """Force of the load on the rod at a position, positive against extension; N."""
-    return load_scale * load_force_n(
-        model.load_knots_m[axis],
-        model.load_coefficients[axis],
-        model.load_knot_count[axis],
-        model.load_inverse_spacing_pm[axis],
-        position_m,
-    )
+    return load_scale * load_force_n(model.load[axis], position_m)
 
 
 @entry
