@@ -161,7 +161,7 @@ class LogWriter:
 
     def write_log(self, level: int, name: str, text: str, real_ns: int) -> None:
         """Add an event in words (LOG_LEVEL_*), as Foxglove's log panel shows it."""
-        payload = np.array([_log_message(level, name, text, real_ns)], dtype=np.void)
+        payload = np.array([log_message(level, name, text, real_ns)], dtype=np.void)
         self.write_records("/log", payload, real_ns, real_ns)
 
     def flush(self) -> None:
@@ -207,7 +207,7 @@ class LogWriter:
         self._sequences[channel] = 0
 
 
-def _log_message(level: int, name: str, text: str, real_ns: int) -> bytes:
+def log_message(level: int, name: str, text: str, real_ns: int) -> bytes:
     """CDR of rcl_interfaces/msg/Log: strings with length and closing zero, 4-byte aligned."""
     out = bytearray(bytes(records.CDR_HEADER) + struct.pack("<iIB", real_ns // 10**9, real_ns % 10**9, level))
     for value in (name, text, "", ""):

@@ -120,7 +120,8 @@ def main() -> int:
     drain = Drain(ring, shape)
     watch = Watch(settings.parent_pid)
     try:
-        recorder = Recorder(settings, drain, open_log(settings), live=open_live(settings))
+        live = open_live(settings)  # first: a port in use shall leave no log behind
+        recorder = Recorder(settings, drain, open_log(settings), live=live)
     except (HilrunnerError, OSError) as error:
         report({"error": error_parts(error)})
         drain.store(ring_layout.WORD_RECORDER_READY, READY_REFUSED)

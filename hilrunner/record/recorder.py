@@ -54,21 +54,20 @@ class Recorder:
         """Whole periods, in order."""
         self.tick_count += len(tick)
         self.last_tick = int(tick["tick"][-1])
+        offset_ns = self.start_real_ns - self.start_mono_ns
+        log_real_ns = tick["end_mono_ns"] + offset_ns
         if self.log:
             self.log.write_ticks(tick, command, state, self.start_mono_ns, self.start_real_ns)
         if self.check:
-            offset_ns = self.start_real_ns - self.start_mono_ns
-            times = (tick["end_mono_ns"] + offset_ns, tick["deadline_mono_ns"] + offset_ns)
-            self.check.take_ticks(tick, command, state, *times)
-        if self.live:
-            self.live.take_ticks(tick, command, state)
+            self.check.take_ticks(tick, command, state, log_real_ns, tick["deadline_mono_ns"] + offset_ns)
+        self._show("take_ticks", tick, command, state, log_real_ns)
 
     def take_misses(self, miss: np.ndarray) -> None:
         """Missed deadlines, in order."""
         if self.log:
             self.log.write_miss(miss, self.start_real_ns, self.settings.period_ns)
-        if self.live:
-            self.live.take_misses(miss, self.start_real_ns, self.settings.period_ns)
+        end_real_ns = self.start_real_ns + (miss["tick"].astype(np.int64) + 1) * self.settings.period_ns
+        self._show("take_misses", miss, end_real_ns + miss["lateness_ns"])
 
     def take_frames(self, can: np.ndarray) -> None:
         """CAN frames, in order."""
@@ -83,8 +82,7 @@ class Recorder:
             name = self.settings.axis_names[result.axis]
             if self.log:
                 self.log.write_check(name, result.check, result.log_real_ns, result.publish_real_ns)
-            if self.live:
-                self.live.take_check(name, result.check, result.log_real_ns)
+            self._show("take_check", name, result.check, result.log_real_ns)
         self.drain.store(ring_layout.WORD_CHECK_LAG_NS, self.check.lag_ns)
         for failure in self.check.failures():
             before = self.drain.word(ring_layout.WORD_CHECK_FAILED_TICK)
@@ -103,15 +101,23 @@ class Recorder:
         real_ns = self.start_real_ns + self.last_tick * self.settings.period_ns
         if self.log:
             self.log.write_statistics(record, real_ns + self.settings.period_ns, real_ns)
-        if self.live:
-            self.live.take_statistics(record, real_ns)
+        self._show("take_statistics", record, real_ns + self.settings.period_ns)
 
     def event(self, level: int, text: str) -> None:
         """A line in /log."""
         if self.log:
             self.log.write_log(level, "recorder", text, time.time_ns())
-        if self.live:
-            self.live.take_event(level, text, time.time_ns())
+        self._show("take_event", level, "recorder", text, time.time_ns())
+
+    def _show(self, take: str, *records) -> None:
+        """Hand something to the live view; a view that fails is given up, the log goes on."""
+        if self.live is None:
+            return
+        try:
+            getattr(self.live, take)(*records)
+        except Exception as error:
+            self.live = None
+            self.event(LOG_LEVEL_WARNING, f"live view stopped: {type(error).__name__}: {error}")
 
     def account(self) -> None:
         """Tell of ticks the ring dropped and bytes the disk refused since the last call."""
