@@ -18,7 +18,7 @@ def dbc_path(loaded: LoadedProfile) -> Path:
 
 def signal_tables(loaded: LoadedProfile) -> tuple[CommandTable, MeasurementTable]:
     """Command and measurement tables of a profile; DbcError or ProfileError where they cannot be made."""
-    return load_signals(dbc_path(loaded), _mapping(loaded), period_ns(loaded))
+    return load_signals(dbc_path(loaded), _mapping(loaded), period_ns(loaded), fd=loaded.profile.can.fd)
 
 
 def _mapping(loaded: LoadedProfile) -> list[AxisMapping]:

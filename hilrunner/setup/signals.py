@@ -38,6 +38,7 @@ QUANTITY_KINDS = {
     "echoed_timestamp": "timestamp",
 }
 CONTROL_NAMES = ("disabled", "hold", "active", "reset")
+FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 MAX_COUNTER_DELTA = 3  # two frames in a row may be lost
 
 
@@ -123,20 +124,21 @@ def _default_axis(number: int) -> AxisMapping:
 
 
 def load_signals(
-    dbc_path: str | Path, mapping: list[AxisMapping], period_ns: int = NS_PER_MS
+    dbc_path: str | Path, mapping: list[AxisMapping], period_ns: int = NS_PER_MS, fd: bool = True
 ) -> tuple[decode.CommandTable, encode.MeasurementTable]:
     """Read the DBC and build both tables, read-only.
 
     Args:
         mapping: one entry an axis, in the order of the profile's axes.
         period_ns: of the loop; cycle times become whole numbers of periods, at least one.
+        fd: whether the bus carries CAN FD frames; if not, a mapped FD message is refused.
 
     Raises:
         DbcError: no such file, message or signal; a unit or range that cannot carry the quantity; two uses of one message.
     """
     database = _load_database(Path(dbc_path))
     place = Path(dbc_path).name
-    _check_messages_unique(place, database, mapping)
+    _check_messages(place, database, mapping, fd)
     return (
         _command_table(place, database, [axis.command for axis in mapping]),
         _measurement_table(place, database, mapping, period_ns),
@@ -167,17 +169,31 @@ def _message(place: str, database, name: str):
     )  # fmt: skip
 
 
-def _check_messages_unique(place: str, database, mapping: list[AxisMapping]) -> None:
+def _check_messages(place: str, database, mapping: list[AxisMapping], fd: bool) -> None:
+    """Every mapped message exists, is mapped once, and has a length the bus can carry."""
     used: dict[int, str] = {}
     for axis in mapping:
         for name in [axis.command.message] + [entry.message for entry in axis.measurements]:
-            can_id = _can_id(_message(place, database, name))
-            if can_id in used:
+            message = _message(place, database, name)
+            if _can_id(message) in used:
                 raise DbcError(
-                    f"{place}: {name}", f"identifier 0x{can_id:x} is mapped twice (also as {used[can_id]})",
+                    f"{place}: {name}", f"identifier 0x{message.frame_id:x} is mapped twice (also as {used[_can_id(message)]})",
                     "one message, one axis, one direction", "give each axis messages of its own",
                 )  # fmt: skip
-            used[can_id] = name
+            used[_can_id(message)] = name
+            if _is_fd(message) and not fd:
+                raise DbcError(
+                    f"{place}: {name}", f"is a CAN FD message ({message.length} bytes), the bus is classic",
+                    "8 data bytes", "set `fd = true` in the profile's [can]",
+                )  # fmt: skip
+            if not 1 <= message.length <= 8 and message.length not in FD_LENGTHS:
+                raise DbcError(
+                    f"{place}: {name}", f"{message.length} data bytes", "1..8, or 12 16 20 24 32 48 64 (ISO 11898-1)"
+                )
+
+
+def _is_fd(message) -> bool:
+    return bool(message.is_fd) or message.length > 8
 
 
 def _can_id(message) -> int:
@@ -329,7 +345,7 @@ def _measurement_table(place: str, database, mapping: list[AxisMapping], period_
         ids = _data_ids(place, message, entry.protection)
         table.can_id[index] = _can_id(message)
         table.length[index] = message.length
-        table.fd[index] = 1 if message.is_fd or message.length > 8 else 0
+        table.fd[index] = 1 if _is_fd(message) else 0
         table.period_ticks[index] = _period_ticks(place, message, entry.cycle_ms, period_ns)
         table.phase[index] = index % table.period_ticks[index]
         if ids is not None:

@@ -1,19 +1,19 @@
-"""Compiled entry points of the codec for tests, and many-frame versions of them."""
+"""Compiled entry points of the codec for tests, and a many-frame version; kept on disk like those of the runner."""
 
 import numpy as np
 
 from hilrunner.base import status
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import entry
 from hilrunner.realtime import bits, decode, e2e, encode
 
 
-@hot
+@entry
 def decode_one(table, can_id, length, data, last_counter, fresh):
     """decode.decode_command as Python can call it."""
     return decode.decode_command(table, can_id, length, data, last_counter, fresh)
 
 
-@hot
+@entry
 def decode_many(table, can_ids, lengths, frames, last_counter, fresh, codes, changed):
     """Decode frames one after the other.
 
@@ -39,37 +39,37 @@ def decode_many(table, can_ids, lengths, frames, last_counter, fresh, codes, cha
                 changed[1] += 1
 
 
-@hot
+@entry
 def encode_one(table, message, quantities, counter, data):
     """encode.encode_measurement as Python can call it."""
     return encode.encode_measurement(table, message, quantities, counter, data)
 
 
-@hot
+@entry
 def insert_one(signals, index, value, data):
     """bits.insert_bits as Python can call it."""
     bits.insert_bits(signals, index, value, data)
 
 
-@hot
+@entry
 def extract_one(signals, index, data):
     """bits.extract_bits as Python can call it."""
     return bits.extract_bits(signals, index, data)
 
 
-@hot
+@entry
 def number_one(signals, index, data):
     """bits.decode_number as Python can call it."""
     return bits.decode_number(signals, index, data)
 
 
-@hot
+@entry
 def encode_si_one(signals, index, value, data):
     """bits.encode_si as Python can call it."""
     bits.encode_si(signals, index, value, data)
 
 
-@hot
+@entry
 def crc_one(data, length, data_id):
     """e2e.crc_p02 as Python can call it."""
     return e2e.crc_p02(data, length, data_id)

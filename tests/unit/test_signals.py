@@ -83,6 +83,13 @@ def test_fd_messages_are_marked(tmp_path):
     assert measurement.fd[0] == 1 and measurement.length[0] == 24
 
 
+def test_fd_messages_need_an_fd_bus(tmp_path):
+    path = write(tmp_path, [COMMAND, SENSORS._replace(length=24)])
+    with pytest.raises(DbcError, match=r"SENS: is a CAN FD message \(24 bytes\).*fd = true"):
+        signals.load_signals(path, own_mapping(), fd=False)
+    assert "25 data bytes" in refused(tmp_path, (COMMAND, SENSORS._replace(length=25)))
+
+
 def test_an_unprotected_command_without_control_word_is_active(tmp_path):
     plain = COMMAND._replace(data_ids="")
     command, _ = load(tmp_path, (plain, SENSORS), command={"control": None, "timestamp": None})
