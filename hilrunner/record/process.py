@@ -134,14 +134,19 @@ def main() -> int:
 
 def record(recorder: Recorder, watch: Watch) -> int:
     """Drain to the end and finish the log, whatever goes wrong on the way."""
-    reason = status.EXIT_KILLED
+    reason = None
     error = None
     try:
         reason = run(recorder, watch)
     except Exception as caught:
         error = error_parts(caught)
         recorder.event(LOG_LEVEL_ERROR, f"recorder failed: {error[1]}")
-    recorder.finish(reason)
+    if reason is None:  # the run may go on; the log says that it was running when it ended
+        reason = recorder.drain.word(ring_layout.WORD_EXIT_REASON)
+    try:
+        recorder.finish(reason, error)
+    except Exception as caught:
+        error = error or error_parts(caught)
     report({**recorder.summary(reason), "error": error})
     return 0 if error is None else 1
 

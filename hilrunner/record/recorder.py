@@ -133,8 +133,11 @@ class Recorder:
             self.event(LOG_LEVEL_ERROR, f"disk refused {self.log.lost_bytes} bytes ({self.log.lost_messages} messages)")
             self._lost_bytes = self.log.lost_bytes
 
-    def finish(self, reason: int) -> None:
-        """Everything after the last record: cross-check worked off, events, histograms, metadata, end of the file."""
+    def finish(self, reason: int, error: list[str] | None = None) -> None:
+        """Everything after the last record: cross-check worked off, events, histograms, metadata, end of the file.
+
+        `error` (place, problem, limit, remedy) is what stopped the recorder, if not the end of the run.
+        """
         killed = reason == status.EXIT_KILLED
         if self.log:
             self.log.flush()  # the run's own records are safe before anything is waited for
@@ -150,7 +153,7 @@ class Recorder:
             self.account()
             histograms = histogram_text(self.drain.ring).encode()
             self.log.add_attachment(HISTOGRAM_ATTACHMENT, "application/json", histograms)
-            self.log.close(self._closing_metadata(reason))
+            self.log.close(self._closing_metadata(reason, error))
             self.drain.store(ring_layout.WORD_RECORDER_LOST_BYTES, self.log.lost_bytes)
         if self.live:
             self.live.close()
@@ -184,7 +187,7 @@ class Recorder:
             "error": None,
         }
 
-    def _closing_metadata(self, reason: int) -> dict[str, dict[str, str]]:
+    def _closing_metadata(self, reason: int, error: list[str] | None) -> dict[str, dict[str, str]]:
         """The `run` table again, now with how it ended; frame counters; cross-check figures."""
         dropped = self.drain.dropped()
         ended = {
@@ -201,6 +204,8 @@ class Recorder:
             "lost_bytes": self.log.lost_bytes,
             "lost_messages": self.log.lost_messages,
         }
+        if error:
+            ended["recorder_error"] = "; ".join(part for part in error if part)
         run = {**self.settings.metadata.get("run", {}), **ended}
         tables = {"run": run, "frames": frame_counts(self.drain.ring, self.settings.axis_names)}
         if self.check:
