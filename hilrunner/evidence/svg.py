@@ -22,7 +22,7 @@ class Axis:
     def __post_init__(self) -> None:
         if self.log:
             self.low = max(self.low, 1e-300)
-            self.high = max(self.high, self.low * 10)
+            self.high = max(self.high, self.low * 1.1)
         elif not self.high > self.low:
             middle, spread = self.low, abs(self.low) * 0.05 or 1.0
             self.low, self.high = middle - spread, middle + spread
@@ -38,7 +38,7 @@ class Axis:
 
     def ticks(self, count: int = 6) -> list[float]:
         """Round values to mark."""
-        if self.log:
+        if self.log and self.high > 4 * self.low:
             return self._log_ticks()
         step = nice_step((self.high - self.low) / count)
         first = math.ceil(self.low / step - 1e-9)
