@@ -82,37 +82,50 @@ else:
 
 
 @compiled.hot
-def forward_foreign(addresses, x, y, inputs, outputs):
-    """x float64[inputs] -> y float64[outputs] through onnxruntime; 0, or 1 with NaN outputs if it failed.
-
-    addresses: int64[FOREIGN_SIZE]; all zero (no network armed) counts as failed.
-    """
-    if addresses[FOREIGN_FUNCTION] == 0:
-        for i in range(outputs):
-            y[i] = float("nan")
-        return 1
-    single = addresses[FOREIGN_SINGLE] == 1
-    if single:
-        bound = _singles(addresses[FOREIGN_INPUT], inputs)
-        for i in range(inputs):
-            bound[i] = x[i]
+def _copy_in(words, at, x, x_at, count):
+    address = int(words[at + FOREIGN_INPUT])
+    if words[at + FOREIGN_SINGLE] == 1.0:
+        narrow = _singles(address, count)
+        for i in range(count):
+            narrow[i] = x[x_at + i]
     else:
-        wide = _doubles(addresses[FOREIGN_INPUT], inputs)
-        for i in range(inputs):
-            wide[i] = x[i]
-    status = _call(
-        addresses[FOREIGN_FUNCTION], addresses[FOREIGN_SESSION], addresses[FOREIGN_OPTIONS], addresses[FOREIGN_BINDING]
-    )
+        wide = _doubles(address, count)
+        for i in range(count):
+            wide[i] = x[x_at + i]
+
+
+@compiled.hot
+def _copy_out(words, at, y, y_at, count):
+    address = int(words[at + FOREIGN_OUTPUT])
+    if words[at + FOREIGN_SINGLE] == 1.0:
+        narrow = _singles(address, count)
+        for i in range(count):
+            y[y_at + i] = narrow[i]
+    else:
+        wide = _doubles(address, count)
+        for i in range(count):
+            y[y_at + i] = wide[i]
+
+
+@compiled.hot
+def forward_foreign(words, at, x, x_at, y, y_at, inputs, outputs):
+    """x[x_at : x_at + inputs] -> y[y_at : y_at + outputs] through onnxruntime; 0, or 1 with NaN outputs if it failed.
+
+    words[at : at + FOREIGN_SIZE]: addresses; a function address of 0 counts as failed.
+    """
+    function = int(words[at + FOREIGN_FUNCTION])
+    status = 1
+    if function != 0:
+        _copy_in(words, at, x, x_at, inputs)
+        status = _call(
+            function,
+            int(words[at + FOREIGN_SESSION]),
+            int(words[at + FOREIGN_OPTIONS]),
+            int(words[at + FOREIGN_BINDING]),
+        )
     if status != 0:
         for i in range(outputs):
-            y[i] = float("nan")
+            y[y_at + i] = float("nan")
         return 1
-    if single:
-        result = _singles(addresses[FOREIGN_OUTPUT], outputs)
-        for i in range(outputs):
-            y[i] = result[i]
-    else:
-        answer = _doubles(addresses[FOREIGN_OUTPUT], outputs)
-        for i in range(outputs):
-            y[i] = answer[i]
+    _copy_out(words, at, y, y_at, outputs)
     return 0

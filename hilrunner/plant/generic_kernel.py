@@ -74,51 +74,47 @@ def _stack_words(typing, count):
     return signature, generate
 
 
-def _buffer_interpreted():
-    return np.zeros(MAX_WIDTH)
-
-
 @compiled.hot
-def _forward(packed, start, layer_count, rows, activations, x, y, a, b):
-    inputs = rows[0]
+def _forward(words, start, rows_at, activations_at, layer_count, x, x_at, y, y_at, a, b):
+    inputs = int(words[rows_at])
     at = start
     for i in range(inputs):
-        a[i] = (x[i] - packed[at + i]) * packed[at + inputs + i]
+        a[i] = (x[x_at + i] - words[at + i]) * words[at + inputs + i]
     at += 2 * inputs
     for layer in range(layer_count):
-        width_in, width_out = rows[layer], rows[layer + 1]
+        width_in, width_out = int(words[rows_at + layer]), int(words[rows_at + layer + 1])
         for r in range(width_out):
-            b[r] = packed[at + r]
+            b[r] = words[at + r]
         at += width_out
         for j in range(width_in):
             value = a[j]
             for r in range(width_out):
-                b[r] += packed[at + r] * value
+                b[r] += words[at + r] * value
             at += width_out
+        kind = int(words[activations_at + layer])
         for r in range(width_out):
-            a[r] = activate(activations[layer], b[r])
-    outputs = rows[layer_count]
+            a[r] = activate(kind, b[r])
+    outputs = int(words[rows_at + layer_count])
     for i in range(outputs):
-        y[i] = a[i] * packed[at + i] + packed[at + outputs + i]
+        y[y_at + i] = a[i] * words[at + i] + words[at + outputs + i]
     return 0
 
 
 if config.DISABLE_JIT:
 
-    def forward_generic(packed, start, layer_count, rows, activations, x, y):
+    def forward_generic(words, start, rows_at, activations_at, layer_count, x, x_at, y, y_at):
         """Evaluate; see the compiled twin below."""
-        return _forward(
-            packed, start, layer_count, rows, activations, x, y, _buffer_interpreted(), _buffer_interpreted()
-        )
+        a, b = np.zeros(MAX_WIDTH), np.zeros(MAX_WIDTH)
+        return _forward(words, start, rows_at, activations_at, layer_count, x, x_at, y, y_at, a, b)
 
 else:
 
     @compiled.hot
-    def forward_generic(packed, start, layer_count, rows, activations, x, y):
-        """Evaluate the network packed at `start`: x float64[inputs] (read) -> y float64[outputs] (written).
+    def forward_generic(words, start, rows_at, activations_at, layer_count, x, x_at, y, y_at):
+        """Evaluate the network packed at `start`: x[x_at : x_at + inputs] (read) -> y[y_at : y_at + outputs] (written).
 
-        rows: int64[layer_count + 1]; activations: int64[layer_count].
+        Sizes of the layers from words[rows_at], their activations from words[activations_at].
         """
         a = carray(_stack_words(512), (512,))
         b = carray(_stack_words(512), (512,))
-        return _forward(packed, start, layer_count, rows, activations, x, y, a, b)
+        return _forward(words, start, rows_at, activations_at, layer_count, x, x_at, y, y_at, a, b)

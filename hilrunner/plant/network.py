@@ -12,40 +12,47 @@ from typing import NamedTuple
 import numpy as np
 
 from hilrunner.base import compiled
-from hilrunner.plant import foreign_call, generic_kernel, vector_kernel
+from hilrunner.plant import generic_kernel, vector_kernel
 from hilrunner.plant.foreign_call import FOREIGN_SIZE
-from hilrunner.plant.generic_kernel import ACTIVATION_LINEAR, ACTIVATION_TANH, MAX_LAYERS
-
-KERNEL_NONE = 0
-KERNEL_VECTOR = 1  # [25, 10, 20] tanh, linear output
-KERNEL_GENERIC = 2
-KERNEL_FOREIGN = 3
-KERNEL_NAMES = ("none", "vector", "generic", "onnxruntime")
+from hilrunner.plant.generic_kernel import ACTIVATION_LINEAR, ACTIVATION_TANH
+from hilrunner.plant.head import (
+    HEAD_ACTIVATION,
+    HEAD_ADDRESS,
+    HEAD_FOREIGN,
+    HEAD_HIGH,
+    HEAD_INPUTS,
+    HEAD_KERNEL,
+    HEAD_LAYERS,
+    HEAD_LOW,
+    HEAD_OUTPUTS,
+    HEAD_ROWS,
+    HEAD_SIZE,
+    KERNEL_FOREIGN,
+    KERNEL_GENERIC,
+    KERNEL_VECTOR,
+    MAX_QUANTITIES,
+)
+from hilrunner.plant.kernels import call_kernel, kernel_address
 
 RECIPE_NONE = 0
 RECIPE_FLOW = 1  # networks give valve flows per unit command; volumes and mechanics are analytic
 RECIPE_PAPER = 2  # network gives pressure rates from (x, v, p1, p2, u)
 RECIPE_NAMES = ("none", "flow", "paper")
 
-# which network of an axis; column of NetworkBank.axis_slot
-ROLE_FLOW = 0  # circuit paper, recipe flow
+# which network of an axis; column of NetworkBank.axis_start
+ROLE_FLOW = 0  # circuit paper, recipe flow, counterbalance spool on its open stop
+ROLE_MODULATING = 1  # the same with the spool anywhere
 ROLE_RATES = 0  # circuit paper, recipe paper
 ROLE_SUPPLY = 0  # circuit lift: branch that is connected to the pump
 ROLE_RETURN = 1  # circuit lift: branch that is connected to the tank
 ROLE_COUNT = 2
-ROLES = {"flow": ROLE_FLOW, "rates": ROLE_RATES, "supply": ROLE_SUPPLY, "return": ROLE_RETURN}
-
-MAX_QUANTITIES = 8  # inputs or outputs of one network
-
-# columns of NetworkBank.shape
-SHAPE_KERNEL = 0
-SHAPE_INPUTS = 1
-SHAPE_OUTPUTS = 2
-SHAPE_START = 3  # first word of the network in NetworkBank.weights
-SHAPE_LAYERS = 4
-SHAPE_ROWS = 5  # MAX_LAYERS + 1 columns: inputs, then rows of each layer
-SHAPE_ACTIVATION = SHAPE_ROWS + MAX_LAYERS + 1  # MAX_LAYERS columns
-SHAPE_SIZE = SHAPE_ACTIVATION + MAX_LAYERS
+ROLES = {
+    "flow": ROLE_FLOW,
+    "modulating": ROLE_MODULATING,
+    "rates": ROLE_RATES,
+    "supply": ROLE_SUPPLY,
+    "return": ROLE_RETURN,
+}
 
 
 @dataclass(frozen=True)
@@ -126,44 +133,42 @@ class SurrogateNetworks:
 class NetworkBank(NamedTuple):
     """Every network of every axis; all arrays constant after arming."""
 
-    shape: np.ndarray  # (slots, SHAPE_SIZE) int64
-    weights: np.ndarray  # (words,) float64, packed as the kernel wants them
-    ranges: np.ndarray  # (slots, 2, MAX_QUANTITIES) float64: training low, high
-    foreign: np.ndarray  # (slots, FOREIGN_SIZE) int64: addresses
-    axis_slot: np.ndarray  # (axes, ROLE_COUNT) int64; -1: none
+    words: np.ndarray  # (n,) float64: heads and packed numbers, every network on a 64-byte line
+    axis_start: np.ndarray  # (axes, ROLE_COUNT) int64: where an axis' network begins in `words`; -1: none
     axis_recipe: np.ndarray  # (axes,) int64 RECIPE_*
 
 
 def assemble_bank(axes: Sequence[SurrogateNetworks | None]) -> NetworkBank:
-    """Pack the networks of every axis; an axis without networks (engine reference) gets slots of -1."""
-    networks: list[Mlp] = []
-    axis_slot = np.full((max(len(axes), 1), ROLE_COUNT), -1, np.int64)
+    """Pack the networks of every axis; an axis without networks (engine reference) gets starts of -1."""
+    axis_start = np.full((max(len(axes), 1), ROLE_COUNT), -1, np.int64)
     axis_recipe = np.zeros(max(len(axes), 1), np.int64)
+    parts: list[np.ndarray] = [np.zeros(8)]
     for index, axis in enumerate(axes):
         if axis is None:
             continue
         axis_recipe[index] = axis.recipe
         for role, network in axis.networks.items():
-            axis_slot[index, ROLES[role]] = len(networks)
-            networks.append(network)
-    slots = max(len(networks), 1)
-    shape = np.zeros((slots, SHAPE_SIZE), np.int64)
-    ranges = np.zeros((slots, 2, MAX_QUANTITIES))
-    foreign = np.zeros((slots, FOREIGN_SIZE), np.int64)
-    parts: list[np.ndarray] = []
-    start = 0
-    for slot, network in enumerate(networks):
-        packed = _pack(network)
-        _write_shape(shape[slot], network, start)
-        ranges[slot, 0, : network.input_count] = network.input_low
-        ranges[slot, 1, : network.input_count] = network.input_high
-        if network.foreign is not None:
-            foreign[slot] = network.foreign
-        # every network starts on a 64-byte line
-        packed = np.concatenate([packed, np.zeros(-len(packed) % 8)])
-        parts.append(packed)
-        start += len(packed)
-    return NetworkBank(shape, _aligned(parts), ranges, foreign, axis_slot, axis_recipe)
+            axis_start[index, ROLES[role]] = sum(len(part) for part in parts)
+            packed = np.concatenate([_head(network), _pack(network)])
+            parts.append(np.concatenate([packed, np.zeros(-len(packed) % 8)]))
+    return NetworkBank(_aligned(np.concatenate(parts)), axis_start, axis_recipe)
+
+
+def _head(network: Mlp) -> np.ndarray:
+    head = np.zeros(HEAD_SIZE)
+    head[HEAD_KERNEL] = network.kernel
+    head[HEAD_INPUTS] = network.input_count
+    head[HEAD_OUTPUTS] = network.output_count
+    head[HEAD_ADDRESS] = kernel_address(network.kernel)
+    head[HEAD_LOW : HEAD_LOW + network.input_count] = network.input_low
+    head[HEAD_HIGH : HEAD_HIGH + network.input_count] = network.input_high
+    if network.foreign is not None:
+        head[HEAD_FOREIGN : HEAD_FOREIGN + FOREIGN_SIZE] = network.foreign
+        return head
+    head[HEAD_LAYERS] = len(network.weights)
+    head[HEAD_ROWS : HEAD_ROWS + len(network.layer_sizes)] = network.layer_sizes
+    head[HEAD_ACTIVATION : HEAD_ACTIVATION + len(network.activations)] = network.activations
+    return head
 
 
 def _pack(network: Mlp) -> np.ndarray:
@@ -175,63 +180,46 @@ def _pack(network: Mlp) -> np.ndarray:
     return generic_kernel.pack(network.weights, network.biases, *scaling)
 
 
-def _write_shape(row: np.ndarray, network: Mlp, start: int) -> None:
-    row[SHAPE_KERNEL] = network.kernel
-    row[SHAPE_INPUTS] = network.input_count
-    row[SHAPE_OUTPUTS] = network.output_count
-    row[SHAPE_START] = start
-    if network.kernel == KERNEL_FOREIGN:
-        return
-    row[SHAPE_LAYERS] = len(network.weights)
-    row[SHAPE_ROWS : SHAPE_ROWS + len(network.layer_sizes)] = network.layer_sizes
-    row[SHAPE_ACTIVATION : SHAPE_ACTIVATION + len(network.activations)] = network.activations
-
-
-def _aligned(parts: list[np.ndarray]) -> np.ndarray:
-    """One float64 array that starts on a 64-byte line, so that vector loads cross no line."""
-    total = sum(len(part) for part in parts)
-    raw = np.zeros(total + 8)
+def _aligned(words: np.ndarray) -> np.ndarray:
+    """The same numbers from a 64-byte line on, so that vector loads cross no line."""
+    raw = np.zeros(len(words) + 8)
     first = (-raw.ctypes.data % 64) // 8
-    out = raw[first : first + total]
-    position = 0
-    for part in parts:
-        out[position : position + len(part)] = part
-        position += len(part)
+    out = raw[first : first + len(words)]
+    out[:] = words
     return out
 
 
 @compiled.hot
-def forward(bank, slot, x, y):
-    """Evaluate one network: x float64[inputs] (read) -> y float64[outputs] (written); 0, or 1 if onnxruntime failed.
+def forward_at(words, start, work, x_at, y_at):
+    """Evaluate the network at `start` on work[x_at : x_at + inputs] into work[y_at : y_at + outputs].
 
-    A NaN among the inputs gives NaN outputs. No range check: see `outside_training`.
+    Args:
+        words: NetworkBank.words; start: an entry of NetworkBank.axis_start.
+        work: float64, read at x_at and written at y_at.
+
+    Returns:
+        0, or 1 if onnxruntime failed. A NaN among the inputs gives NaN outputs. No range check: see `outside_training`.
     """
-    row = bank.shape[slot]
-    kernel = row[SHAPE_KERNEL]
-    if kernel == KERNEL_VECTOR:
-        vector_kernel.forward_vector(bank.weights, row[SHAPE_START], x, y, row[SHAPE_INPUTS], row[SHAPE_OUTPUTS])
-        return 0
-    if kernel == KERNEL_GENERIC:
-        generic_kernel.forward_generic(
-            bank.weights, row[SHAPE_START], row[SHAPE_LAYERS], row[SHAPE_ROWS:], row[SHAPE_ACTIVATION:], x, y
-        )
-        return 0
-    return foreign_call.forward_foreign(bank.foreign[slot], x, y, row[SHAPE_INPUTS], row[SHAPE_OUTPUTS])
+    return call_kernel(words, start, work, x_at, y_at, HEAD_ADDRESS)
 
 
 @compiled.hot
-def outside_training(bank, slot, x):
+def outside_training(words, start, work, x_at):
     """True if an input lies outside the range the network was trained on (or is not a number)."""
     outside = False
-    for i in range(bank.shape[slot, SHAPE_INPUTS]):
-        outside |= not (bank.ranges[slot, 0, i] <= x[i] <= bank.ranges[slot, 1, i])
+    for i in range(int(words[start + HEAD_INPUTS])):
+        value = work[x_at + i]
+        outside |= not (words[start + HEAD_LOW + i] <= value <= words[start + HEAD_HIGH + i])
     return outside
 
 
 @compiled.entry
-def forward_many(bank, slot, inputs, outputs):
+def forward_many(words, start, inputs, outputs):
     """Evaluate one network on inputs float64[n, inputs] into outputs float64[n, outputs]; the count of failures."""
+    work = np.zeros(2 * MAX_QUANTITIES)
     failures = 0
     for i in range(inputs.shape[0]):
-        failures += forward(bank, slot, inputs[i], outputs[i])
+        work[: inputs.shape[1]] = inputs[i]
+        failures += forward_at(words, start, work, 0, MAX_QUANTITIES)
+        outputs[i] = work[MAX_QUANTITIES : MAX_QUANTITIES + outputs.shape[1]]
     return failures

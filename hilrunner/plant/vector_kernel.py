@@ -229,7 +229,6 @@ class _Emitter:
 
     def hidden_layer(self, values, inputs: int, bias: str, columns: str, count: int, partial: int):
         """tanh of bias plus the sum over `inputs` broadcast activations of their weight columns."""
-        zero = self.constant(0.0)
         sums = [[None] * count for _ in range(partial)]
         sums[0] = [self.load_vector(self.at[bias] + v * self.lanes) for v in range(count)]
         for j in range(inputs):
@@ -238,7 +237,6 @@ class _Emitter:
             for v in range(count):
                 weight = self.load_vector(self.at[columns] + (j * count + v) * self.lanes)
                 mine[v] = self.b.fmul(weight, z) if mine[v] is None else self.fma(weight, z, mine[v])
-        del zero
         out = []
         for v in range(count):
             total = [s[v] for s in sums]
@@ -283,19 +281,16 @@ class _Emitter:
 
 
 def make_forward(lanes: int):
-    """A function (packed f8[:], start, x f8[:], y f8[:], inputs, outputs) -> 0 for compiled code, `lanes` to a vector."""
+    """For compiled code: (packed, x, y: pointers to float64, inputs, outputs) -> 0; `lanes` float64 to a vector."""
 
     @intrinsic
-    def forward_vector(typing, packed, start, x, y, inputs, outputs):
-        signature = types.int64(packed, types.int64, x, y, types.int64, types.int64)
+    def forward_vector(typing, packed, x, y, inputs, outputs):
+        pointer = types.CPointer(types.float64)
+        signature = types.int64(pointer, pointer, pointer, types.int64, types.int64)
 
         def generate(context, builder, sig, arguments):
-            pointers = []
-            for kind, value in ((sig.args[0], arguments[0]), (sig.args[2], arguments[2]), (sig.args[3], arguments[3])):
-                pointers.append(context.make_array(kind)(context, builder, value).data)
             function = _Emitter(builder.module, lanes).write()
-            weights = builder.gep(pointers[0], [arguments[1]])
-            builder.call(function, [weights, pointers[1], pointers[2], arguments[4], arguments[5]])
+            builder.call(function, arguments)
             return ir.Constant(ir.IntType(64), 0)
 
         return signature, generate
@@ -303,23 +298,23 @@ def make_forward(lanes: int):
     return forward_vector
 
 
-def forward_interpreted(packed, start, x, y, inputs, outputs):
+forward_vector = None if config.DISABLE_JIT else make_forward(LANES)
+
+
+def forward_interpreted(words, start, x, x_at, y, y_at, inputs, outputs):
     """The same network in numpy, for NUMBA_DISABLE_JIT=1; equal to the compiled one to rounding."""
     at = offsets(LANES)
 
     def take(name, rows):
-        return packed[start + at[name] : start + at[name] + rows]
+        return words[start + at[name] : start + at[name] + rows]
 
     def columns(name, rows, count):
         return take(name, padded(rows) * count).reshape(count, padded(rows))[:, :rows].T
 
-    values = (x[:inputs] - take("input_offset", inputs)) * take("input_scale", inputs)
+    values = (x[x_at : x_at + inputs] - take("input_offset", inputs)) * take("input_scale", inputs)
     layers = (("bias_1", "columns_1", inputs), ("bias_2", "columns_2", HIDDEN[0]), ("bias_3", "columns_3", HIDDEN[1]))
     for rows, (bias, name, count) in zip(HIDDEN, layers, strict=True):
         values = np.tanh((take(bias, rows) + columns(name, rows, count) @ values) / PRESCALE)
     total = columns("rows_4", HIDDEN[2], outputs).T @ values + take("bias_4", outputs)
-    y[:outputs] = total * take("output_scale", outputs) + take("output_offset", outputs)
+    y[y_at : y_at + outputs] = total * take("output_scale", outputs) + take("output_offset", outputs)
     return 0
-
-
-forward_vector = forward_interpreted if config.DISABLE_JIT else make_forward(LANES)
