@@ -178,7 +178,7 @@ class CheckWorker:
             walk = self._walks[batch.axis]
             crosscheck.check_periods(
                 model, batch.axis, period_s, batch.skipped, batch.command, batch.state, walk, limits,
-                settings.one_step_decimation, check,
+                settings.one_step_decimation, settings.interpolate_commands, check,
             )  # fmt: skip
             self._deliver(batch, check, walk)
 
@@ -202,8 +202,8 @@ class CheckWorker:
             self._backlog_ticks -= len(check)
             newest = self._newest_tick
         self.lag_ns = (newest - int(check["tick"][-1])) * self._period_ns
-        self.lag_ns_max = max(self.lag_ns_max, self.lag_ns)
         check["lag_ns"] = (newest - check["tick"].astype(np.int64)) * self._period_ns
+        self.lag_ns_max = max(self.lag_ns_max, int(check["lag_ns"].max()))
         failed_tick = int(walk.number[WALK_FAILED_TICK])
         if failed_tick >= 0 and not self._told[batch.axis]:
             self._told[batch.axis] = True

@@ -33,6 +33,7 @@ class CheckConfig:
     one_step_position_tolerance_m: float | None = None
     one_step_decimation: int = 1
     record_decimation: int = 1
+    interpolate_commands: bool = False  # a stimulus drives the run: its command moves on in skipped periods
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,8 @@ from the surrogate's own last state (what this period added). Outside the loop, 
 
 Assumptions: the records are in order; `valve_command` and `load_scale` held for the tick's period. Of skipped periods only
 the last inputs are logged: between the tick before and this one the load scale, and a command that was ramping to neutral,
-are taken as linear; a command from the bus acts from the first skipped period on, as in the loop.
+and the command of a stimulus, are taken as linear; a command from the bus acts from the first skipped period on, as in
+the loop.
 Where ticks are missing from the ring the inputs are unknown: both trajectories restart from the surrogate's state (counted).
 """
 
@@ -144,7 +145,7 @@ def _judge(walk, tick, errors_of, surrogate, first_row, limits):
 
 
 @entry
-def check_periods(model, axis, period_s, skipped, command, state, walk, limits, one_step_every, check):
+def check_periods(model, axis, period_s, skipped, command, state, walk, limits, one_step_every, interpolate, check):
     """Step the reference through n logged ticks of one axis.
 
     Args:
@@ -156,6 +157,7 @@ def check_periods(model, axis, period_s, skipped, command, state, walk, limits, 
         walk: Walk, read and written.
         limits: (2 * QUANTITY_COUNT,) float64, largest errors allowed (inf: not watched), rows as in Walk.accumulated.
         one_step_every: the one-step error is computed at ticks divisible by it.
+        interpolate: take the command as linear over skipped periods (a stimulus), not as held.
         check: (n,) CHECK records, written; `lag_ns` is left to the caller.
 
     Returns:
@@ -178,7 +180,7 @@ def check_periods(model, axis, period_s, skipped, command, state, walk, limits, 
             valve, scale = command[i]["valve_command"], state[i]["load_scale"]
             if walk.number[WALK_STARTED] == 0:
                 walk.held[0], walk.held[1] = valve, scale
-            ramping = command[i]["mode"] == status.MODE_STALE_RAMP
+            ramping = interpolate or command[i]["mode"] == status.MODE_STALE_RAMP
             _advance_periods(model, axis, period_s, count, walk.held, valve, scale, ramping, walk.shadow)
             out = _judge(walk, tick, walk.shadow, surrogate, 0, limits)
             with_one_step = tick % one_step_every == 0

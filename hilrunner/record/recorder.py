@@ -214,11 +214,11 @@ class Recorder:
 
 
 def _flat(table: dict, prefix: str = "") -> dict:
-    """Nested tables as one, keys joined by a dot."""
+    """Nested tables as one, keys joined by a dot; what has no value is left out."""
     out = {}
     for key, value in table.items():
         if isinstance(value, dict):
             out |= _flat(value, f"{prefix}{key}.")
-        else:
+        elif value is not None:
             out[prefix + key] = value
     return out

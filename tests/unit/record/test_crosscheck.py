@@ -29,7 +29,17 @@ def states(bench):
     return check_plant.run_reference(axis, COMMANDS, SCALES, start)
 
 
-def check(bench, command, state, skipped=None, limits=NO_LIMITS, one_step_every=1, batches=(10**9,), walk=None):
+def check(
+    bench,
+    command,
+    state,
+    skipped=None,
+    limits=NO_LIMITS,
+    one_step_every=1,
+    batches=(10**9,),
+    walk=None,
+    interpolate=False,
+):
     _, model, start = bench
     walk = walk or crosscheck.new_walk(start)
     out = records.allocate(records.CHECK, len(state))
@@ -38,7 +48,8 @@ def check(bench, command, state, skipped=None, limits=NO_LIMITS, one_step_every=
     for size in batches:
         part = slice(first, first + size)
         crosscheck.check_periods(
-            model, 0, check_plant.PERIOD_S, skipped[part], command[part], state[part], walk, limits, one_step_every, out[part]
+            model, 0, check_plant.PERIOD_S, skipped[part], command[part], state[part], walk, limits, one_step_every, interpolate,
+            out[part],
         )  # fmt: skip
         first += size
     return out, walk
@@ -108,6 +119,8 @@ def test_a_command_that_ramps_to_neutral_ramps_in_skipped_periods_too(bench, sta
     out, _ = check(bench, command, state, np.where(kept == 33, 3, 0))
     assert abs(out["one_step_chamber_1_pressure_error_pa"]).max() < 1e-6
     command["mode"] = status.MODE_ACTIVE
+    stimulus, _ = check(bench, command, state, np.where(kept == 33, 3, 0), interpolate=True)
+    assert stimulus.tobytes() == out.tobytes()
     held, _ = check(bench, command, state, np.where(kept == 33, 3, 0))
     assert abs(held["one_step_chamber_1_pressure_error_pa"]).max() > 100.0
 
