@@ -51,7 +51,8 @@ def ticks_complete(run: Run) -> tuple[bool, str]:
     tick = run.tick["tick"].astype(np.int64)
     skipped = run.tick["skipped_count"].astype(np.int64)
     expected = np.diff(tick, prepend=-1) - 1
-    lost = int(np.abs(expected - skipped).sum())
+    told = run.metadata.get("run", {})
+    lost = int(np.abs(expected - skipped).sum()) + int(told.get("dropped_ticks", 0)) + int(told.get("lost_messages", 0))
     return lost == 0 and len(tick) > 0, f"{len(tick)} ticks, {int(skipped.sum())} skipped, {lost} lost"
 
 
@@ -92,18 +93,18 @@ def firmware_lost(out: Path, scene: dict) -> list[Check]:
     limit_ms = rules.stale_after_ms + rules.hold_for_ms + rules.ramp_for_ms + GRACE_TICKS * _period_s() * 1e3
     mode = command["mode"]
     entered = np.flatnonzero((mode[1:] == status.MODE_FAIL_SAFE) & (mode[:-1] != status.MODE_FAIL_SAFE)) + 1
-    ages_ms = command["age_ns"][entered] * 1e-6
+    # a late tick finds the age it has: the periods skipped just before it are the grid's, not the ageing's
+    ages_ms = command["age_ns"][entered] * 1e-6 - run.tick["skipped_count"][entered] * _period_s() * 1e3
     in_fail_safe = mode == status.MODE_FAIL_SAFE
     neutral = bool((command["valve_command"][in_fail_safe] == 0.0).all())
     after = mode[entered[0] :] if len(entered) else mode[:0]
     order = [status.MODE_NAMES[m] for m in mode[np.flatnonzero(np.diff(mode, prepend=255))]]
     complete, text = ticks_complete(run)
-    skipped = int(run.tick["skipped_count"].max())
     return [
         _exit(name, "hilrunner --can vcan0 (fail-safe is no failure)", scene["exit_code"]),
         Check(
             name, "latched fail-safe after the last command", ", ".join(f"{age:.0f} ms" for age in ages_ms) or "never",
-            f"<= {limit_ms:g} ms", len(ages_ms) > 0 and float(ages_ms.min()) <= limit_ms + skipped * _period_s() * 1e3,
+            f"<= {limit_ms:g} ms", len(ages_ms) > 0 and float(ages_ms.max()) <= limit_ms,
         ),
         Check(name, "stale hold, ramp, fail-safe in this order", " > ".join(order[:7]), "stale-hold > stale-ramp > fail-safe", "stale-hold > stale-ramp > fail-safe" in " > ".join(order)),
         Check(name, "valve neutral in fail-safe", "yes" if neutral else "no", "yes", neutral and bool(in_fail_safe.any())),
