@@ -1,0 +1,119 @@
+"""The bench of a log, built again from what the log carries: profile, DBC and models unpacked to a folder of their own."""
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from hilrunner.base import compiled, records, status
+from hilrunner.base.errors import LogError
+from hilrunner.evidence.facts import PROFILE_ATTACHMENT
+from hilrunner.evidence.reader import Run
+from hilrunner.setup.profile import LoadedProfile, load_profile
+
+STIMULUS_ATTACHMENT = "stimulus.npy"
+
+
+@contextmanager
+def unpacked_profile(run: Run) -> Iterator[LoadedProfile]:
+    """The profile of a log with its DBC and models beside it, in a folder that lives as long as the context.
+
+    Raises LogError when the log carries no profile; ProfileError when this version refuses it.
+    """
+    if PROFILE_ATTACHMENT not in run.attachments:
+        raise LogError(
+            str(run.path), "carries no profile, so its bench cannot be built again", remedy="replay a log of `run`"
+        )
+    with tempfile.TemporaryDirectory(prefix="hilrunner-replay-") as folder:
+        for name, attached in run.attachments.items():
+            safe = Path(name).name
+            if safe not in ("", ".", ".."):
+                (Path(folder) / safe).write_bytes(attached.data)
+        yield load_profile(str(Path(folder) / PROFILE_ATTACHMENT))
+
+
+def engine_of(run: Run, override: str | None = None) -> int:
+    """status.ENGINE_* of a run, or of the name given."""
+    name = override or run.metadata.get("run", {}).get("engine", status.ENGINE_NAMES[status.ENGINE_SURROGATE])
+    if name not in status.ENGINE_NAMES:
+        raise LogError(str(run.path), f"engine '{name}' is not one of this version", ", ".join(status.ENGINE_NAMES))
+    return status.ENGINE_NAMES.index(name)
+
+
+def stimulus_of(run: Run, notes: list[str]) -> np.ndarray | None:
+    """Valve commands that took the place of the bus, float64[tick, axis]; None for a run that was commanded by frames."""
+    attached = run.attachments.get(STIMULUS_ATTACHMENT)
+    if attached is not None:
+        return _from_attachment(run, attached.data)
+    axes = run.axis_names
+    if (
+        len(run.can_rx)
+        or not axes
+        or not any((rows["mode"] == status.MODE_ACTIVE).any() for rows in run.command.values())
+    ):
+        return None
+    last = max(int(rows["tick"][-1]) for rows in run.command.values() if len(rows))
+    if last > 1 << 31:
+        raise LogError(str(run.path), f"tick number {last} is damaged")
+    stimulus = np.zeros((last + 1, len(axes)))
+    for column, axis in enumerate(axes):
+        rows = run.command[axis]
+        stimulus[rows["tick"].astype(np.int64), column] = rows["valve_command"]
+    notes.append("the valve commands are taken from the log itself: the run was not driven by frames")
+    if len(run.tick) and run.tick["skipped_count"].any():
+        _fill_skipped(stimulus, run.tick)
+        notes.append("commands of skipped periods are not in the log; they are taken from the tick after")
+    return stimulus
+
+
+def _from_attachment(run: Run, data: bytes) -> np.ndarray:
+    with tempfile.TemporaryFile() as file:
+        file.write(data)
+        file.seek(0)
+        try:
+            stimulus = np.load(file, allow_pickle=False)
+        except (ValueError, OSError, EOFError) as error:
+            raise LogError(str(run.path), f"its stimulus cannot be read: {error}") from None
+    if stimulus.ndim != 2 or stimulus.dtype != np.float64 or stimulus.shape[1] != max(len(run.axis_names), 1):
+        raise LogError(
+            str(run.path), f"its stimulus has shape {stimulus.shape}", f"(ticks, {len(run.axis_names)}) float64"
+        )
+    return stimulus
+
+
+def _fill_skipped(stimulus: np.ndarray, tick: np.ndarray) -> None:
+    for row in tick[tick["skipped_count"] > 0]:
+        number = int(row["tick"])
+        stimulus[max(number - int(row["skipped_count"]), 0) : number] = stimulus[number]
+
+
+def version_notes(run: Run) -> list[str]:
+    """What differs between the program that ran and the one that replays."""
+    told = run.metadata.get("run", {}).get("compiled_source_hash")
+    if told is None:
+        return ["the log does not say which sources its loop was compiled from"]
+    if told != compiled.source_hash():
+        return [f"the loop was compiled from other sources ({told}; now {compiled.source_hash()}): bits may differ"]
+    return []
+
+
+def socket_frames(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Received frames as they came from the socket, in order of tick.
+
+    Returns (frames uint8[f, 72] of struct can(fd)_frame, sizes int64[f], ticks int64[f]).
+    """
+    rows = run.can_rx
+    rows = rows[np.argsort(rows["tick"], kind="stable")]
+    frames = np.zeros((len(rows), 72), np.uint8)
+    frames[:, :4] = np.ascontiguousarray(rows["can_id"]).view(np.uint8).reshape(-1, 4)
+    frames[:, 4] = rows["length"]
+    is_fd = (rows["flags"] & 1) != 0
+    frames[:, 5] = np.where(is_fd, rows["flags"] & 0x07 | 0x04, 0)
+    size = min(rows["data"].shape[1], 64) if len(rows) else 0
+    frames[:, 8 : 8 + size] = rows["data"][:, :size]
+    return frames, np.where(is_fd, 72, 16).astype(np.int64), rows["tick"].astype(np.int64)
+
+
+assert records.CAN_FD_FRAME["data"].shape == (64,)
