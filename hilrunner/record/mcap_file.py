@@ -44,16 +44,17 @@ _NO_FALLOCATE_ERRNOS = {errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.ENOD
 _libc = ctypes.CDLL(None, use_errno=True)
 _libc.fallocate.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
 
+COUNT = struct.Struct("<HI")  # channel, messages
+
 
 class WrittenChunk(NamedTuple):
     """What the summary must know of one chunk, and what is needed to take it back."""
 
     start_offset: int
     index_record: bytes  # the encoded ChunkIndex
-    message_counts: dict[int, int]
+    message_counts: bytes  # COUNT items: hours of chunks stay small in memory
     start_real_ns: int
     end_real_ns: int
-    uncompressed_size: int
     crc_before: int
 
 
@@ -84,6 +85,7 @@ class McapFile:
         self._attachment_indexes: list[bytes] = []
         self._metadata_indexes: list[bytes] = []
         self._index_size_bytes = 0
+        self._counts: dict[int, int] = {}
         self._allocated_bytes = 0
         self._can_allocate = True
         self._in_head = True
@@ -190,23 +192,20 @@ class McapFile:
                 uncompressed_size=uncompressed_size,
             )
         )
-        written = WrittenChunk(
-            self.size_bytes, index_record, message_counts, start_real_ns, end_real_ns, uncompressed_size, self._crc
-        )
+        counts = b"".join(COUNT.pack(*pair) for pair in message_counts.items())
+        written = WrittenChunk(self.size_bytes, index_record, counts, start_real_ns, end_real_ns, self._crc)
         if not self.append(b"".join(parts)):
             self.lost_messages += sum(message_counts.values())
             return False
         self._index_size_bytes += len(index_record)
+        for channel, count in message_counts.items():
+            self._counts[channel] = self._counts.get(channel, 0) + count
         self.chunks.append(written)
         return True
 
     def message_counts(self) -> dict[int, int]:
         """Messages in the file, by channel."""
-        counts: dict[int, int] = {}
-        for chunk in self.chunks:
-            for channel, count in chunk.message_counts.items():
-                counts[channel] = counts.get(channel, 0) + count
-        return counts
+        return dict(self._counts)
 
     def close(self) -> None:
         """End the file; gives up the newest chunks, one by one, where the ending does not fit otherwise."""
@@ -237,7 +236,9 @@ class McapFile:
     def _take_back_chunk(self) -> None:
         chunk = self.chunks.pop()
         self._index_size_bytes -= len(chunk.index_record)
-        self.lost_messages += sum(chunk.message_counts.values())
+        for channel, count in COUNT.iter_unpack(chunk.message_counts):
+            self._counts[channel] -= count
+            self.lost_messages += count
         self.lost_bytes += self.size_bytes - chunk.start_offset
         # records written after the chunk go with it; their indexes must not point past the end
         self._attachment_indexes = [r for r in self._attachment_indexes if _offset_of(r) < chunk.start_offset]
@@ -277,7 +278,7 @@ class McapFile:
         return data_end + summary + offsets + head + struct.pack("<I", crc) + MAGIC
 
     def _statistics(self) -> Statistics:
-        counts = self.message_counts()
+        counts = {channel: count for channel, count in self._counts.items() if count}
         return Statistics(
             attachment_count=len(self._attachment_indexes),
             channel_count=len(self._channels),
