@@ -24,6 +24,9 @@ PAPER_SURROGATE_NS, PAPER_REFERENCE_NS = 201_100.0, 4_310_300.0  # shared articl
 SURROGATE = "surrogate"
 _TRUTH_FACTOR = 8
 _START_M = 0.6
+_TYPICAL = np.array(
+    [1.0, 0.01, 1e6, 1e6, 1e-3, 1e-3, 0.1, 0.1, 1e6, 1e6]
+)  # state, SI: absolute tolerance per relative one
 
 
 @dataclass(frozen=True)
@@ -36,9 +39,9 @@ class Case:
 
 
 def commands(circuit: int) -> np.ndarray:
-    """One second of held commands: rest, lift, faster, hold, and lower where the circuit can; float64[PERIODS]."""
+    """One second of held commands: lift, faster, hold, and lower where the circuit can; float64[PERIODS]."""
     values = np.zeros(PERIODS)
-    values[50:300] = 0.4
+    values[5:300] = 0.4
     values[300:500] = 0.8
     if circuit != status.CIRCUIT_PAPER:
         values[600:900] = -0.5
@@ -78,13 +81,11 @@ def _radau(plant: AxisPlant, held: np.ndarray, rtol: float) -> Callable[[], np.n
         state_rates(plant.parameters, load, 1.0, plant.circuit, plant.fast, valve, y.reshape(1, 10), rates)
         return rates[0].copy()
 
-    scale = np.array([1e-6, 1e-6, 1.0, 1.0, 1e-9, 1e-9, 1e-6, 1e-6, 1.0, 1.0])
-
     def run() -> np.ndarray:
         y, rows = start.copy(), []
         for valve in held:
             span = (0.0, PERIOD_S)
-            y = solve_ivp(rhs, span, y, "Radau", args=(float(valve),), rtol=rtol, atol=rtol * scale).y[:, -1]
+            y = solve_ivp(rhs, span, y, "Radau", args=(float(valve),), rtol=rtol, atol=rtol * _TYPICAL).y[:, -1]
             rows.append(y)
         return np.array(rows)
 
@@ -219,3 +220,8 @@ def _one_substep(plant: AxisPlant, held: np.ndarray, step_s: float) -> Callable[
         return states
 
     return run
+
+
+def lines_plant(lift: AxisPlant) -> AxisPlant:
+    """The same axis with line volumes as states (circuit lift-lines), first-principle."""
+    return replace(reference_plant(lift), circuit=status.CIRCUIT_LIFT_LINES)
