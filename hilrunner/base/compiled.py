@@ -48,17 +48,28 @@ hot = numba.njit(nogil=True, error_model="numpy")
 _cached = numba.njit(nogil=True, error_model="numpy", cache=True)
 
 
-def entry(function):
-    """Compiled and kept on disk: functions called from Python, and large inner ones that several of those share.
-
-    Module-level functions only: a closure over other compiled functions has no name to be found again by.
-    """
+def _in_cache_of(function, decorate):
+    """Decorate with the cache folder of the function's room in force."""
     parts = function.__module__.split(".")
     room = parts[1] if len(parts) > 2 else "realtime"
     before = numba.config.CACHE_DIR
     # read when the decorator builds the function's cache; an explicit NUMBA_CACHE_DIR of the user wins
     numba.config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR") or str(cache_folder(room))
     try:
-        return _cached(function)
+        return decorate(function)
     finally:
         numba.config.CACHE_DIR = before
+
+
+def entry(function):
+    """Compiled and kept on disk: functions called from Python, and large inner ones that several of those share.
+
+    Module-level functions only: a closure over other compiled functions has no name to be found again by.
+    """
+    return _in_cache_of(function, _cached)
+
+
+def callback(signature):
+    """Compiled with a C calling convention and kept on disk: what a C library calls back; `.address` is its address."""
+    as_c_function = numba.cfunc(signature, nopython=True, error_model="numpy", cache=True)
+    return lambda function: _in_cache_of(function, as_c_function)

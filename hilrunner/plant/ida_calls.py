@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from hilrunner.base.compiled import entry
+from hilrunner.base.compiled import callback, entry
 from hilrunner.plant.residual import PLANT_INPUT, make_consistent, residual
 
 import numba  # isort: skip  (after base.compiled)
@@ -19,9 +19,7 @@ _solve = types.ExternalFunction(
 _IDA_NORMAL = 1
 
 
-@numba.cfunc(
-    types.int32(types.float64, _PTR, _PTR, _PTR, types.voidptr), nopython=True, error_model="numpy", cache=True
-)
+@callback(types.int32(types.float64, _PTR, _PTR, _PTR, types.voidptr))
 def residual_callback(_time, y_vector, dy_vector, r_vector, plant_address):
     """What IDA calls: int (double t, N_Vector y, N_Vector y', N_Vector r, void *plant)."""
     count = _get_length(y_vector)
