@@ -98,6 +98,14 @@ def test_no_value_leaves_the_range(layout, signed, value):
         assert raw == max(low, 0), "NaN is sent as the number nearest to 0"
 
 
+@pytest.mark.parametrize("value, raw", [(math.nan, 5), (math.inf, 9), (-math.inf, 5), (7.4, 7), (7.5, 8), (8.5, 8)])
+def test_values_that_are_no_number_or_no_whole_number(value, raw):
+    message, table = rows_of(Sig("s", 3, 12, minimum="5", maximum="9"), 8)
+    frame = np.zeros(64, np.uint8)
+    codec_entries.encode_si_one(table, 0, value, frame)
+    assert message.decode(bytes(frame[:8]), scaling=False)["s"] == raw
+
+
 @STEADY
 @given(layouts(st.just(32)), st.floats(width=32, allow_nan=False, allow_infinity=False))
 def test_float32_signals(layout, value):

@@ -142,7 +142,13 @@ def test_command_range_is_cut_to_full_valve(tmp_path):
 
 
 def test_cycle_times_in_periods(tmp_path):
-    for period_ns, cycle, expected in ((1_000_000, 5, 5), (2_000_000, 5, 2), (10_000_000, 5, 1), (500_000, 5, 10)):
+    for period_ns, cycle, expected in (
+        (1_000_000, 5, 5),
+        (2_000_000, 5, 2),
+        (10_000_000, 5, 1),
+        (500_000, 5, 10),
+        (3_000_000, 5, 2),
+    ):
         _, measurement = load(tmp_path, period_ns=period_ns, sensors={"cycle_ms": float(cycle)})
         assert measurement.period_ticks[0] == expected
     _, measurement = load(tmp_path, (COMMAND, SENSORS._replace(cycle_ms=None)))
