@@ -9,6 +9,7 @@ import pytest
 from recorder_producer import Producer, ring_shape, start
 
 from hilrunner.base import records, ring
+from hilrunner.record.check_worker import CheckWorker
 from hilrunner.record.config import CheckConfig
 
 COUNT = 1200
@@ -16,9 +17,13 @@ FAULT_TICK = 500
 
 
 @pytest.fixture(scope="module")
-def run():
+def run(tmp_path_factory):
     axis = check_plant.lift_axis()
     begin = check_plant.start_state(axis)
+    # into the cache on disk first: the recorder waits a limited time for its check
+    path = tmp_path_factory.mktemp("warm") / "plants.pickle"
+    path.write_bytes(pickle.dumps([axis]))
+    assert CheckWorker(CheckConfig(str(path), [begin.tolist()]), ["axis_1"], 1_000_000).finish(500.0)
     commands = 0.5 * np.sin(np.arange(COUNT) * 0.01)
     return axis, begin, commands, check_plant.run_reference(axis, commands, np.ones(COUNT), begin)
 
