@@ -32,16 +32,16 @@ def main(args: argparse.Namespace) -> int:
     if args.html:
         from hilrunner.evidence.report_html import report_html
 
-        written.append(_write(args.html, report_html(report)))
+        written.append(write_text(args.html, report_html(report)))
     if args.junit:
         from hilrunner.evidence.junit import junit_xml
 
         suite = f"{report.facts.profile_name}.{args.log.stem}"
         properties = {"mode": report.facts.mode_label, **report.facts.provenance}
-        written.append(_write(args.junit, junit_xml(report.verdict, suite, report.latency.duration_s, properties)))
+        written.append(write_text(args.junit, junit_xml(report.verdict, suite, report.latency.duration_s, properties)))
     if args.hgrm:
         for name, text in evidence.hgrm_texts(report).items():
-            written.append(_write(args.hgrm / f"{name}.hgrm", text))
+            written.append(write_text(args.hgrm / f"{name}.hgrm", text))
     if args.json:
         print(json.dumps(evidence.as_dict(report), allow_nan=False))
     else:
@@ -55,7 +55,8 @@ def main(args: argparse.Namespace) -> int:
     return report.verdict.exit_code
 
 
-def _write(path: Path, text: str) -> Path:
+def write_text(path: Path, text: str) -> Path:
+    """Write a file and the folders above it; UsageError when that cannot be done."""
     from hilrunner.base.errors import UsageError
 
     try:

@@ -10,7 +10,7 @@ from hilrunner.base.errors import ProfileError
 from hilrunner.base.units import NS_PER_US
 from hilrunner.evidence.reader import Run
 from hilrunner.setup import host
-from hilrunner.setup.host_words import Finding, Grant
+from hilrunner.setup.host_words import Finding
 from hilrunner.setup.profile import Profile, parse_profile
 
 PROFILE_ATTACHMENT = "profile.toml"
@@ -116,17 +116,10 @@ def _mode(table: dict[str, str], miss_count: int, notes: list[str]) -> tuple[str
     grants = _rows(table.get("grants"), ("name", "asked", "got", "granted", "reason", "remedy"), notes)
     if told == host.LABEL_SIMULATED:
         return told, [], findings, grants
-    if not findings and not grants:
-        reasons = [reason for reason in table.get("mode_reasons", "").split("; ") if reason]
-        if miss_count:
-            reasons.append(f"{miss_count} ticks were late")
-        return (host.LABEL_BEST_EFFORT if reasons else told), reasons, [], []
-    reasons = host.mode_reasons([Grant(**row) for row in grants], findings, miss_count)
-    # the lesser of what the run itself said and what is judged now
-    if told == host.LABEL_BEST_EFFORT and not reasons:
-        reasons = [reason for reason in table.get("mode_reasons", "").split("; ") if reason]
-    label = host.LABEL_VERIFIED if told == host.LABEL_VERIFIED and not reasons else host.LABEL_BEST_EFFORT
-    return label, reasons, findings, grants
+    reasons = [reason for reason in table.get("mode_reasons", "").split("; ") if reason]
+    if miss_count:
+        reasons.append(f"{miss_count} ticks were late")
+    return (told if not reasons else host.LABEL_BEST_EFFORT), reasons, findings, grants
 
 
 def _rows(text: str | None, keys: tuple[str, ...], notes: list[str]) -> list[dict]:
