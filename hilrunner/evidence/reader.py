@@ -190,8 +190,11 @@ class _Topic:
             self._consumer(self.topic, rows[:taken])
 
     def array(self) -> np.ndarray:
-        """The records taken; none of a topic with a consumer."""
-        return self._array[: 0 if self._consumer else self.count]
+        """The records taken, in order of tick; none of a topic with a consumer."""
+        rows = self._array[: 0 if self._consumer else self.count]
+        if "tick" in (rows.dtype.names or ()) and np.any(rows["tick"][1:] < rows["tick"][:-1]):
+            return rows[np.argsort(rows["tick"], kind="stable")]  # written in order of time by another tool
+        return rows
 
     def _grow(self, kept: int, count: int, read_ratio: float) -> None:
         expected = (kept + count) * min(_SPARE_RATIO / max(read_ratio, 1e-9), _LARGEST_GROWTH)

@@ -49,7 +49,7 @@ def own_layout(topic: str, axis_names: list[str] | None = None) -> np.dtype | No
         return fixed[topic]
     if topic in ("/can/rx", "/can/tx"):
         return records.CAN_FD_FRAME
-    by_axis = {"command": records.COMMAND, "state": records.STATE, "check": records.CHECK}
+    by_axis = {"command": records.COMMAND, "state": records.STATE, "check": records.CHECK, "dae": records.STATE}
     match = re.fullmatch(r"/([^/]+)/(\w+)", topic)
     if match and match[2] in by_axis and (axis_names is None or match[1] in axis_names):
         return by_axis[match[2]]
