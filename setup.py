@@ -3,7 +3,18 @@
 from setuptools import find_packages, setup
 
 DATA = {
-    "profiles": ["*.toml", "*.csv", "*.md", "*.json", "models/*", "**/*.toml", "**/*.csv", "**/*.json", "**/*.md"],
+    "profiles": [
+        "*.toml",
+        "*.md",
+        "models/*",
+        "layouts/*",
+        "**/*.toml",
+        "**/*.csv",
+        "**/*.json",
+        "**/*.md",
+        "*.csv",
+        "*.json",
+    ],
     "firmware_iface": ["*.dbc", "*.csv", "*.md", "*.toml", "c/*.[ch]", "c/**/*.[ch]", "c/Makefile", "c/*.md"],
 }
 

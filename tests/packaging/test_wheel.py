@@ -53,7 +53,7 @@ def _names(wheel):
 def test_the_wheel_carries_every_shipped_file(wheel):
     names = _names(wheel)
     for folder in ("profiles", "firmware_iface"):
-        suffixes = (".toml", ".csv", ".json", ".onnx", ".dbc", ".c", ".h", ".md")
+        suffixes = (".toml", ".csv", ".json", ".xml", ".onnx", ".dbc", ".c", ".h", ".md")
         for path in tree.project_files():
             if tree.relative(path).startswith(folder + "/") and path.suffix in suffixes:
                 assert f"hilrunner/_data/{tree.relative(path)}" in names

@@ -1,0 +1,67 @@
+"""Allocations of Numba's runtime during loops of different length: allocation_scenario.py ENGINE, prints one JSON line.
+
+Run with NUMBA_NRT_STATS=1. The loop is the real one: clock, a socketpair as bus with commands waiting, ring, misses, histograms.
+"""
+
+import json
+import socket
+import sys
+import time
+
+import numpy as np
+from numba.core.runtime import rtsys
+
+from hilrunner.base import compiled, status
+from hilrunner.realtime import loop
+from hilrunner.setup import arm as arming
+from hilrunner.setup import axes as axis_setup
+from hilrunner.setup.profile import load_profile
+from tests.rules.interpreted_scenario import command_frame
+
+
+@compiled.hot
+def planted(tick_count):
+    """What the loop must not do."""
+    total = 0.0
+    for tick in range(tick_count):
+        total += np.full(3, float(tick))[1]
+    return total
+
+
+def allocations(call):
+    """Blocks the runtime handed out during a call."""
+    before = rtsys.get_allocation_stats().alloc
+    call()
+    return rtsys.get_allocation_stats().alloc - before
+
+
+def main():
+    """Loops of 200 and 400 ticks on one armed bench, and the planted fault."""
+    loaded = load_profile("amc-lift")
+    axes = axis_setup.build_axes(loaded, status.ENGINE_NAMES.index(sys.argv[1]))
+    ring = arming.local_ring(arming.ring_shape(loaded, seconds=0.1))
+    armed = arming.arm(loaded, axes, ring, record=True, overrun="catch-up")
+    ours, peer = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    found = {}
+    for tick_count in (200, 200, 400):  # the first one also compiles
+        for counter in range(16):
+            peer.send(command_frame(0, counter, 0.3).tobytes())
+        found[str(tick_count)] = allocations(
+            lambda count=tick_count: loop.run_loop(armed.bench, ours.fileno(), time.monotonic_ns(), count)
+        )
+        peer.setblocking(False)
+        try:
+            while True:
+                peer.recv(128)
+        except BlockingIOError:
+            peer.setblocking(True)
+    planted(1)
+    found["planted 10"], found["planted 20"] = allocations(lambda: planted(10)), allocations(lambda: planted(20))
+    found["ticks"] = int(armed.bench.progress[0]["tick_count"])
+    found["frames"] = int(armed.bench.progress[0]["frames_received"])
+    found["misses"] = int(armed.bench.progress[0]["miss_count"])
+    print(json.dumps(found))
+
+
+if __name__ == "__main__":
+    main()
