@@ -8,6 +8,7 @@
 #include <net/if.h>
 #include <getopt.h>
 #include <math.h>
+#include <sched.h>
 #include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -27,6 +28,7 @@ typedef struct {
     const char *interface;
     long period_us;
     double duration_s; /* 0: until a signal */
+    int priority;       /* SCHED_FIFO 1..99; 0: as started */
     double die_after_s; /* 0: never; else stop dead, without a last frame, as a crash would */
     mc_config_t controller;
 } options_t;
@@ -74,6 +76,7 @@ static void print_usage(FILE *out)
             "      --peak-period-s T            of the sea (8)\n"
             "      --gain G                     position control, 1/s (2)\n"
             "      --ramp-s S                   time in which the wave comes in (2)\n"
+            "      --priority N                 SCHED_FIFO 1..99 (0: as started)\n"
             "      --die-after-s S              stop dead after S seconds, without a last frame\n"
             "At the end it prints one line of JSON. Exit codes: 0 done, 2 usage, 4 CAN missing or lost.\n",
             ACTUATOR_AXIS_COUNT);
@@ -91,7 +94,7 @@ static bool read_number(const char *text, double low, double high, double *value
     return true;
 }
 
-enum { OPTION_HEIGHT = 256, OPTION_PEAK, OPTION_GAIN, OPTION_RAMP, OPTION_DIE };
+enum { OPTION_HEIGHT = 256, OPTION_PEAK, OPTION_GAIN, OPTION_RAMP, OPTION_PRIORITY, OPTION_DIE };
 
 static bool read_option(int option, const char *text, options_t *options)
 {
@@ -122,6 +125,12 @@ static bool read_option(int option, const char *text, options_t *options)
         return read_number(text, 0, 20, &options->controller.position_gain_per_s);
     case OPTION_RAMP:
         return read_number(text, 0.01, 60, &options->controller.ramp_s);
+    case OPTION_PRIORITY:
+        if (!read_number(text, 0, 99, &number)) {
+            return false;
+        }
+        options->priority = (int)number;
+        return true;
     case OPTION_DIE:
         return read_number(text, 0, 1e7, &options->die_after_s);
     default:
@@ -141,6 +150,7 @@ static int read_options(int count, char **words, options_t *options)
         {"peak-period-s", required_argument, NULL, OPTION_PEAK},
         {"gain", required_argument, NULL, OPTION_GAIN},
         {"ramp-s", required_argument, NULL, OPTION_RAMP},
+        {"priority", required_argument, NULL, OPTION_PRIORITY},
         {"die-after-s", required_argument, NULL, OPTION_DIE},
         {"help", no_argument, NULL, 'h'},
         {NULL, 0, NULL, 0},
@@ -161,6 +171,15 @@ static int read_options(int count, char **words, options_t *options)
         return EXIT_USAGE;
     }
     return -1;
+}
+
+/* A refusal is told, not fatal: the controller then runs as well as it may. */
+static void ask_for_priority(int priority)
+{
+    struct sched_param parameters = {.sched_priority = priority};
+    if (priority > 0 && sched_setscheduler(0, SCHED_FIFO, &parameters) < 0) {
+        fprintf(stderr, "reference_firmware: SCHED_FIFO %d refused: %s\n", priority, strerror(errno));
+    }
 }
 
 /* A non-blocking raw socket that receives the axis' three messages only; -1 with a message on stderr. */
@@ -317,6 +336,7 @@ int main(int count, char **words)
     action.sa_handler = request_stop;
     sigaction(SIGINT, &action, NULL);
     sigaction(SIGTERM, &action, NULL);
+    ask_for_priority(options.priority);
     loop_statistics_t statistics = {0};
     code = run(bus, &options, &controller, &statistics);
     if (code == EXIT_CAN_LOST) {
