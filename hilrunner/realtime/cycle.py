@@ -13,6 +13,7 @@ from hilrunner.plant.step import advance, current_load_force
 from hilrunner.plant.wave import load_scale as wave_load_scale
 from hilrunner.realtime import command, encode, faults
 from hilrunner.realtime.decode import decode_command
+from hilrunner.realtime.handle import handle
 from hilrunner.realtime.socketcan import FRAME_SIZE_CLASSIC, FRAME_SIZE_FD
 
 NO_AXIS_BYTE = 255
@@ -221,6 +222,13 @@ def run_offline(bench, ticks, period_counts, miss_counts, forced, frames, sizes,
     Returns:
         number of ticks run; fewer than n when a state left the finite numbers.
     """
+    return _run_offline(
+        handle(bench), ticks, period_counts, miss_counts, forced, frames, sizes, frame_first, command_out, state_out
+    )
+
+
+@hot
+def _run_offline(bench, ticks, period_counts, miss_counts, forced, frames, sizes, frame_first, command_out, state_out):
     for i in range(ticks.shape[0]):
         tick = ticks[i]
         count = frame_first[i + 1] - frame_first[i]

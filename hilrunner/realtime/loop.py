@@ -20,6 +20,7 @@ from hilrunner.base.records import (
 from hilrunner.realtime import command, ring
 from hilrunner.realtime.clock import now_mono_ns, now_real_ns, wait_until
 from hilrunner.realtime.cycle import decode_stage, encode_stage, fill_command_record, fill_state_record, step_stage
+from hilrunner.realtime.handle import handle
 from hilrunner.realtime.histogram import record_corrected, record_value
 from hilrunner.realtime.layout import ACTION_FAIL_SAFE, ACTION_STOP
 from hilrunner.realtime.miss import (
@@ -53,6 +54,12 @@ def run_loop(bench, descriptor, start_mono_ns, tick_limit):
     Returns:
         status.EXIT_*.
     """
+    return _run(handle(bench), descriptor, start_mono_ns, tick_limit)
+
+
+@hot
+def _run(bench, descriptor, start_mono_ns, tick_limit):
+    """The loop itself; `bench` is a handle from here on."""
     progress = bench.progress[0]
     config = bench.config[0]
     period_ns = config["period_ns"]
