@@ -5,6 +5,8 @@ written into the network's head (plant.network) when a bank is assembled. A call
 kernels inlined, each function above them would compile them again.
 """
 
+import os
+
 from hilrunner.base import compiled
 from hilrunner.plant import foreign_call, generic_kernel, vector_kernel
 from hilrunner.plant.head import (
@@ -68,7 +70,12 @@ def kernel_address(kind: int) -> int:
     if config.DISABLE_JIT:
         return 0
     if kind not in _compiled:
-        _compiled[kind] = cfunc(_KERNEL, cache=True, error_model="numpy", nogil=True)(_SOURCES[kind])
+        before = config.CACHE_DIR
+        config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR") or str(compiled.cache_folder("plant"))
+        try:
+            _compiled[kind] = cfunc(_KERNEL, cache=True, error_model="numpy", nogil=True)(_SOURCES[kind])
+        finally:
+            config.CACHE_DIR = before
     return _compiled[kind].address
 
 
@@ -106,4 +113,3 @@ def _call_interpreted(words, start, work, x_at, y_at, address_at):
 
 
 call_kernel = _call_interpreted if config.DISABLE_JIT else _call_compiled
-assert compiled

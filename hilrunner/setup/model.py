@@ -1,0 +1,387 @@
+"""Trained models: an ONNX file becomes the networks of an axis, or one clear error.
+
+Read in this order: size and existence, protobuf, data outside the file, metadata (in the file, or `<file>.json` beside
+it), graph to layers, numbers finite, plant parameters, and last a comparison of the compiled kernel with onnxruntime on
+random points: golden vectors inside a file whose data sheet vouches for its hash, else onnxruntime itself.
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hilrunner.base.errors import ModelError
+from hilrunner.plant.head import KERNEL_NAMES
+from hilrunner.plant.network import RECIPE_NAMES, Mlp, SurrogateNetworks, assemble_bank, forward_many
+from hilrunner.setup import model_text
+from hilrunner.setup.model_graph import Chain, Graph
+
+FILE_SIZE_MAX_BYTES = 64 * 1024 * 1024  # the largest network a period could evaluate is far smaller
+OPSET_MAX = 26  # of onnxruntime 1.31
+COMPARED_POINTS = 256
+DOUBLE_TOLERANCE_RATIO = 1e-10  # of the outputs' range over the compared points: rounding, nothing else
+SINGLE_TOLERANCE_RATIO = 2e-5
+PARAMETER_TOLERANCE_RATIO = 1e-9
+
+
+@dataclass(frozen=True)
+class ModelReport:
+    """How a model was understood, for the terminal, the log and `hilrunner check`."""
+
+    path: Path
+    sha256: str
+    circuit: str
+    recipe: str
+    lines: tuple[str, ...]  # one a network, then what was compared
+    largest_difference_ratio: float  # compiled against onnxruntime, of the outputs' range
+
+    def text(self) -> str:
+        """Several lines for a terminal."""
+        return "\n".join([f"model {self.path.name}: circuit {self.circuit}, recipe {self.recipe}", *self.lines])
+
+
+def load_model(
+    path: Path,
+    circuit: str,
+    parameters: np.ndarray | None = None,
+    in_loop: bool = False,
+    description: dict | None = None,
+) -> tuple[SurrogateNetworks, ModelReport]:
+    """The networks of one axis from an ONNX file.
+
+    Args:
+        path: the file.
+        circuit: status.CIRCUIT_NAMES; the file must be for it.
+        parameters: PARAMETERS record (1,); what the networks were trained for must agree with it. None: not checked.
+        in_loop: run the networks by onnxruntime (engine onnx) instead of the compiled kernels.
+        description: `hil.*` keys from a profile; they win over the file's own.
+
+    Raises:
+        ModelError: anything about the file that is missing, damaged, foreign or does not agree.
+    """
+    path = Path(path)
+    place = str(path)
+    data = _read(path)
+    digest = hashlib.sha256(data).hexdigest()
+    model = _parse(place, data, path)
+    sheet = _data_sheet(path)
+    vouched = sheet.get("sha256") == digest
+    if "sha256" in sheet and not vouched:
+        raise ModelError(
+            place,
+            "is not the file its data sheet describes (sha256 differs)",
+            remedy="restore the file, or export again",
+        )
+    text = model_text.read_text(place, _properties(model, sheet, description))
+    if text.circuit != circuit:
+        raise ModelError(place, f"is for circuit '{text.circuit}'", f"'{circuit}'", "name another model in the profile")
+    if parameters is not None:
+        _check_parameters(place, text, parameters)
+    networks, lines = _networks(place, model, text, in_loop)
+    keep_alive = None
+    if in_loop:
+        from hilrunner.setup.model_onnxruntime import bind
+
+        networks, keep_alive = bind(place, data, networks, text)
+    worst, how = _compare(place, data, networks, text, vouched and bool(text.golden) and not in_loop)
+    lines.append(f"  compiled against {how}: largest difference {worst:.1e} of the outputs' range")
+    surrogate = SurrogateNetworks(
+        recipe=RECIPE_NAMES.index(text.recipe),
+        networks=networks,
+        circuit=text.circuit,
+        source=f"{path.name} sha256 {digest}",
+        keep_alive=keep_alive,
+    )
+    return surrogate, ModelReport(path, digest, text.circuit, text.recipe, tuple(lines), worst)
+
+
+def _read(path: Path) -> bytes:
+    try:
+        size = path.stat().st_size
+        if size > FILE_SIZE_MAX_BYTES:
+            raise ModelError(
+                str(path), f"{size / 2**20:.0f} MiB", f"at most {FILE_SIZE_MAX_BYTES >> 20} MiB", "a smaller network"
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise ModelError(
+            str(path), f"cannot be read: {error.strerror}", remedy="check `model` in the profile"
+        ) from error
+    if not data:
+        raise ModelError(str(path), "is empty", remedy="export or copy it again")
+    return data
+
+
+def _parse(place: str, data: bytes, path: Path):
+    import onnx
+    from google.protobuf.message import DecodeError
+
+    try:
+        model = onnx.ModelProto.FromString(data)
+    except DecodeError as error:
+        raise ModelError(place, "is damaged or no ONNX file", remedy="export or copy it again") from error
+    if not model.HasField("graph") or not model.graph.node or not model.graph.output or not model.opset_import:
+        raise ModelError(place, "holds no complete graph: cut off, or no ONNX file", remedy="export or copy it again")
+    versions = [entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")]
+    if versions and max(versions) > OPSET_MAX:
+        raise ModelError(place, f"opset {max(versions)}", f"at most {OPSET_MAX}", "export with opset 20 or lower")
+    _inline_external(place, model, path)
+    return model
+
+
+def _inline_external(place: str, model, path: Path) -> None:
+    """Weights stored beside the file are read if they lie in its folder, and refused anywhere else."""
+    from onnx import TensorProto
+    from onnx.external_data_helper import load_external_data_for_tensor
+
+    folder = path.resolve().parent
+    for tensor in _tensors(model):
+        if tensor.data_location != TensorProto.EXTERNAL:
+            continue
+        entries = {entry.key: entry.value for entry in tensor.external_data}
+        location = entries.get("location", "")
+        target = (folder / location).resolve()
+        if not location or Path(location).is_absolute() or not target.is_relative_to(folder):
+            raise ModelError(
+                place, f"keeps '{tensor.name}' in '{location}', outside its folder", "one file", "save it as one file"
+            )
+        if not target.is_file():
+            raise ModelError(
+                place, f"keeps '{tensor.name}' in '{location}', which is not there", remedy="copy it as well"
+            )
+        if target.stat().st_size > FILE_SIZE_MAX_BYTES:
+            raise ModelError(
+                place,
+                f"keeps {target.stat().st_size >> 20} MiB in '{location}'",
+                f"at most {FILE_SIZE_MAX_BYTES >> 20} MiB",
+            )
+        try:
+            load_external_data_for_tensor(tensor, str(folder))
+        except Exception as error:  # onnx raises its own checker errors, ValueError and OSError here
+            raise ModelError(place, f"external data of '{tensor.name}' cannot be read: {error}") from error
+        tensor.data_location = TensorProto.DEFAULT
+        del tensor.external_data[:]
+
+
+def _tensors(model):
+    yield from model.graph.initializer
+    for node in model.graph.node:
+        for attribute in node.attribute:
+            if attribute.HasField("t"):
+                yield attribute.t
+
+
+def _data_sheet(path: Path) -> dict:
+    """The JSON beside the file: our data sheet (with its sha256), or a user's description of a foreign model."""
+    beside = path.with_name(path.name + ".json")
+    if not beside.is_file():
+        return {}
+    try:
+        sheet = json.loads(beside.read_text("utf-8"))
+    except (OSError, ValueError) as error:
+        raise ModelError(str(beside), f"cannot be read: {error}", "JSON") from error
+    if not isinstance(sheet, dict):
+        raise ModelError(str(beside), "is not a JSON object", "an object with the hil.* keys of docs/surrogate.md")
+    return sheet
+
+
+def _properties(model, sheet: dict, description: dict | None) -> dict[str, str]:
+    properties = {entry.key: entry.value for entry in model.metadata_props}
+    for source in (sheet, description or {}):
+        for key, value in source.items():
+            if key.startswith("hil.") and (source is description or key not in properties):
+                properties[key] = value if isinstance(value, str) else json.dumps(value)
+    return properties
+
+
+def _check_parameters(place: str, text: model_text.ModelText, parameters: np.ndarray) -> None:
+    from hilrunner.plant.parameters import SPEC_BY_KEY
+
+    for key, trained in text.parameters.items():
+        row = SPEC_BY_KEY.get(key)
+        if row is None:
+            raise ModelError(place, f"was trained for '{key}', which no plant has", remedy="train it again")
+        actual = float(parameters[row.field][0]) / row.factor
+        if abs(actual - trained) > PARAMETER_TOLERANCE_RATIO * max(abs(actual), abs(trained)):
+            raise ModelError(
+                place,
+                f"was trained for {key} = {trained:g}, the profile has {actual:g}",
+                f"{trained:g}",
+                "hilrunner train --profile on this profile, or --engine reference",
+            )
+
+
+def _networks(place: str, model, text: model_text.ModelText, in_loop: bool) -> tuple[dict[str, Mlp], list[str]]:
+    graph = Graph(place, model)
+    networks, lines = {}, []
+    for network in text.networks:
+        output = network.output or graph.outputs[0]
+        if output not in graph.outputs:
+            raise ModelError(place, f"has no output '{output}'", ", ".join(graph.outputs))
+        if in_loop:
+            networks[network.role] = _opaque(network)
+            lines.append(f"  {network.role}: run by onnxruntime, {len(network.inputs)} -> {len(network.outputs)}")
+            continue
+        chain = graph.chain(output)
+        if network.input and chain.input != network.input:
+            raise ModelError(place, f"output '{output}' comes from input '{chain.input}'", f"'{network.input}'")
+        mlp = _in_si(place, chain, network, text)
+        _check_finite(place, network.role, mlp)
+        networks[network.role] = mlp
+        lines.append(
+            f"  {network.role}: {chain.describe()}, {mlp.parameter_count} parameters, {KERNEL_NAMES[mlp.kernel]} kernel"
+        )
+    return networks, lines
+
+
+def _factors(quantities: tuple[dict, ...]) -> np.ndarray:
+    return np.array([model_text.UNITS[quantity["unit"]] for quantity in quantities])
+
+
+def _order(network: model_text.NetworkText, text: model_text.ModelText) -> tuple[list[int], list[int]]:
+    """Columns of the file's inputs and outputs in the order the reduced model uses."""
+    expected = model_text.ROLE_QUANTITIES[text.circuit, text.recipe, network.role]
+    orders = []
+    for quantities, names in zip((network.inputs, network.outputs), expected, strict=True):
+        have = [model_text.stem(quantity["name"]) for quantity in quantities]
+        orders.append([have.index(name) for name in names if name in have])
+    return orders[0], orders[1]
+
+
+def _ranges(network: model_text.NetworkText, order: list[int]) -> tuple[np.ndarray, np.ndarray]:
+    factors = _factors(network.inputs)
+    low = np.array([quantity["low"] for quantity in network.inputs]) * factors
+    high = np.array([quantity["high"] for quantity in network.inputs]) * factors
+    return low[order], high[order]
+
+
+def _in_si(place: str, chain: Chain, network: model_text.NetworkText, text: model_text.ModelText) -> Mlp:
+    """A chain with its units turned into SI and its columns into the reduced model's order."""
+    widths = (chain.input_count, len(chain.biases[-1]))
+    named = (len(network.inputs), len(network.outputs))
+    if widths != named:
+        raise ModelError(
+            f"{place}: network '{network.role}'",
+            f"takes {widths[0]} and gives {widths[1]} numbers, its metadata names {named[0]} and {named[1]}",
+            "the same width",
+        )
+    inputs, outputs = _order(network, text)
+    in_factor, out_factor = _factors(network.inputs), _factors(network.outputs)
+    full = np.ones(widths[0])
+    offset = (full * (chain.input_offset if chain.input_offset is not None else 0.0)) * in_factor
+    scale = (full * (chain.input_scale if chain.input_scale is not None else 1.0)) / in_factor
+    out_scale = np.ones(widths[1]) * (chain.scale if chain.scale is not None else 1.0) * out_factor
+    out_offset = np.ones(widths[1]) * (chain.offset if chain.offset is not None else 0.0) * out_factor
+    low, high = _ranges(network, inputs)
+    weights, biases = list(chain.weights), list(chain.biases)
+    weights[0] = np.ascontiguousarray(weights[0][:, inputs])
+    weights[-1], biases[-1] = np.ascontiguousarray(weights[-1][outputs]), biases[-1][outputs]
+    return Mlp(
+        weights=tuple(weights),
+        biases=tuple(biases),
+        activations=tuple(chain.activations),
+        input_offset=offset[inputs],
+        input_scale=scale[inputs],
+        output_scale=out_scale[outputs],
+        output_offset=out_offset[outputs],
+        input_low=low,
+        input_high=high,
+        input_names=tuple(network.inputs[column]["name"] for column in inputs),
+        output_names=tuple(network.outputs[column]["name"] for column in outputs),
+    )
+
+
+def _opaque(network: model_text.NetworkText) -> Mlp:
+    """A network known by its ends only, for onnxruntime."""
+    order = list(range(len(network.inputs)))
+    low, high = _ranges(network, order)
+    inputs, outputs = np.ones(len(network.inputs)), np.ones(len(network.outputs))
+    return Mlp((), (), (), 0.0 * inputs, inputs, outputs, 0.0 * outputs, low, high)
+
+
+def _check_finite(place: str, role: str, mlp: Mlp) -> None:
+    named = [(f"weight of layer {i}", value) for i, value in enumerate(mlp.weights)]
+    named += [(f"bias of layer {i}", value) for i, value in enumerate(mlp.biases)]
+    named += [("input scaling", mlp.input_scale), ("input offset", mlp.input_offset)]
+    named += [("output scaling", mlp.output_scale), ("output offset", mlp.output_offset)]
+    for name, value in named:
+        bad = np.count_nonzero(~np.isfinite(value))
+        if bad:
+            raise ModelError(
+                f"{place}: network '{role}'", f"{bad} of {value.size} numbers of its {name} are not finite", "numbers"
+            )
+
+
+def _compare(place: str, data: bytes, networks: dict[str, Mlp], text, golden: bool) -> tuple[float, str]:
+    """Largest difference between what the axis will evaluate and onnxruntime, over the outputs' range; how it was found."""
+    bank = assemble_bank([SurrogateNetworks(1, networks, text.circuit)])
+    session = None if golden else _session(place, data)
+    worst = 0.0
+    from hilrunner.plant.network import ROLES
+
+    for network in text.networks:
+        mlp = networks[network.role]
+        if golden:
+            inputs = np.array(text.golden[network.role]["inputs"])
+            expected = np.array(text.golden[network.role]["outputs"])
+            tolerance = DOUBLE_TOLERANCE_RATIO
+        else:
+            inputs, expected, tolerance = _ask(session, network, text)
+        outputs = np.zeros((len(inputs), mlp.output_count))
+        start = bank.axis_start[0, ROLES[network.role]]
+        failures = forward_many(bank.words, start, inputs, outputs)
+        span = np.maximum(np.ptp(expected, axis=0), 1e-300)
+        difference = float(np.max(np.abs(outputs - expected) / span))
+        if failures or not difference <= tolerance:
+            raise ModelError(
+                f"{place}: network '{network.role}'",
+                f"compiled and onnxruntime outputs differ by {difference:.1e} of their range"
+                + (f", {failures} evaluations failed" if failures else ""),
+                f"at most {tolerance:g}",
+                "report this file; --engine onnx runs it as onnxruntime does",
+            )
+        worst = max(worst, difference)
+    how = f"{GOLDEN_WORDS} ({len(inputs)} points)" if golden else f"onnxruntime ({COMPARED_POINTS} points)"
+    return worst, how
+
+
+GOLDEN_WORDS = "onnxruntime's golden vectors"
+
+
+def _session(place: str, data: bytes):
+    import onnxruntime
+
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    try:
+        return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+    except Exception as error:  # onnxruntime's error classes have no common base but Exception
+        raise ModelError(
+            place, f"onnxruntime refuses it: {str(error).splitlines()[0]}", remedy="export it again"
+        ) from error
+
+
+def _ask(session, network: model_text.NetworkText, text) -> tuple[np.ndarray, np.ndarray, float]:
+    """Random points of the training range in the reduced model's order and SI, and onnxruntime's answers to them."""
+    inputs, outputs = _order(network, text)
+    low = np.array([quantity["low"] for quantity in network.inputs])
+    high = np.array([quantity["high"] for quantity in network.inputs])
+    raw = np.random.default_rng(0).uniform(low, high, (COMPARED_POINTS, len(low)))
+    feeds = {}
+    single = False
+    for value in session.get_inputs():
+        single |= value.type == "tensor(float)"
+        kind = np.float32 if value.type == "tensor(float)" else np.float64
+        mine = value.name == (network.input or session.get_inputs()[0].name)
+        feeds[value.name] = raw.astype(kind) if mine else np.zeros((COMPARED_POINTS, value.shape[-1]), kind)
+    output = network.output or session.get_outputs()[0].name
+    if single:
+        raw = raw.astype(np.float32).astype(np.float64)
+    (answer,) = session.run([output], feeds)
+    answer = np.asarray(answer, float).reshape(COMPARED_POINTS, -1)
+    in_si = raw * _factors(network.inputs)
+    out_si = answer * _factors(network.outputs)
+    return in_si[:, inputs], out_si[:, outputs], SINGLE_TOLERANCE_RATIO if single else DOUBLE_TOLERANCE_RATIO
