@@ -75,7 +75,14 @@ def test_make_builds_the_reference_firmware(tmp_path):
     subprocess.run(["make", "-s", "-C", str(folder)], check=True, env=environment)
     firmware = folder / "build" / "reference_firmware"
     assert "usage: reference_firmware" in subprocess.run([firmware, "--help"], capture_output=True, text=True).stdout
-    for words in (["--period-us", "5"], ["--axis", "9"], ["--nonsense"], ["word"], ["--gain", "x"], ["--priority", "100"]):
+    for words in (
+        ["--period-us", "5"],
+        ["--axis", "9"],
+        ["--nonsense"],
+        ["word"],
+        ["--gain", "x"],
+        ["--priority", "100"],
+    ):
         assert subprocess.run([firmware, *words], capture_output=True).returncode == 2, words
     missing = subprocess.run([firmware, "-i", "nocan9"], capture_output=True, text=True)
     assert missing.returncode == 4 and "nocan9" in missing.stderr
