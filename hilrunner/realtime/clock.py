@@ -2,19 +2,32 @@
 
 Every function takes the `clock` array as its first argument, so that a test replaces the functions and keeps its simulated
 time in the array: the loop itself never asks for the time anywhere else. Layout of `clock`, int64[8]:
-0..1 `struct timespec` for the kernel, 2 spin tail in ns, 3.. free (a fake clock's own words).
+0..1 `struct timespec` for the kernel, 2 spin tail in ns, 3 rate of the cycle counter (0: the kernel is asked each time),
+4 free (a fake clock's own word), 5..6 the last moment the kernel was asked: ns and cycles.
+
+Where a clock call costs microseconds (user-mode kernels have no vDSO) the kernel is asked once a period, at the wake-up, and
+the cycle counter tells the rest of the period.
 """
+
+import time
 
 import numpy as np
 from numba import types
 
 from hilrunner.base.compiled import hot
+from hilrunner.realtime import cycles
 
 CLOCK_REALTIME = 0
 CLOCK_MONOTONIC = 1
 TIMER_ABSTIME = 1
 CLOCK_WORD_COUNT = 8
 WORD_SPIN_NS = 2
+WORD_CYCLE_RATE = 3
+WORD_FAKE = 4
+WORD_ANCHOR_NS = 5
+WORD_ANCHOR_CYCLES = 6
+DEAR_CLOCK_NS = 1_000  # from this cost of one clock call on, the cycle counter is used where it can be
+_ANCHOR_CYCLES_MAX = 1 << 31
 
 _pointer = types.CPointer(types.int64)
 _clock_gettime = types.ExternalFunction("clock_gettime", types.int32(types.int32, _pointer))
@@ -24,17 +37,49 @@ _clock_nanosleep = types.ExternalFunction(
 
 
 def make_clock(spin_ns: int) -> np.ndarray:
-    """The clock array of a real run."""
+    """The clock array of a real run; measures what a clock call costs here and whether the cycle counter can help."""
     clock = np.zeros(CLOCK_WORD_COUNT, np.int64)
     clock[WORD_SPIN_NS] = spin_ns
+    if clock_call_ns() >= DEAR_CLOCK_NS:
+        clock[WORD_CYCLE_RATE] = cycles.calibrate()
     return clock
+
+
+def clock_call_ns() -> int:
+    """What one clock call costs on this host, ns (the quickest of several)."""
+    costs = []
+    for _ in range(16):
+        before_ns = time.monotonic_ns()
+        costs.append(time.monotonic_ns() - before_ns)
+    return min(costs)
+
+
+@hot
+def _kernel_mono_ns(clock):
+    _clock_gettime(np.int32(CLOCK_MONOTONIC), clock.ctypes)
+    return clock[0] * 1_000_000_000 + clock[1]
+
+
+@hot
+def anchor(clock):
+    """Ask the kernel for CLOCK_MONOTONIC, ns, and remember the moment for the cycle counter; once a period."""
+    now_ns = _kernel_mono_ns(clock)
+    if clock[WORD_CYCLE_RATE] != 0:
+        clock[WORD_ANCHOR_NS] = now_ns
+        clock[WORD_ANCHOR_CYCLES] = cycles.read_cycles()
+    return now_ns
 
 
 @hot
 def now_mono_ns(clock):
-    """CLOCK_MONOTONIC in ns; a vDSO call, about 30 ns where the kernel has one."""
-    _clock_gettime(np.int32(CLOCK_MONOTONIC), clock.ctypes)
-    return clock[0] * 1_000_000_000 + clock[1]
+    """CLOCK_MONOTONIC in ns: a vDSO call (about 30 ns), or the cycle counter since the last anchor where that is dear."""
+    rate = clock[WORD_CYCLE_RATE]
+    if rate != 0:
+        passed = cycles.read_cycles() - clock[WORD_ANCHOR_CYCLES]
+        if 0 <= passed < _ANCHOR_CYCLES_MAX:
+            return clock[WORD_ANCHOR_NS] + (passed * rate >> cycles.SCALE_BITS)
+        return anchor(clock)
+    return _kernel_mono_ns(clock)
 
 
 @hot

@@ -18,7 +18,7 @@ from hilrunner.base.records import (
     TICK_FLAG_NEAR_MISS,
 )
 from hilrunner.realtime import command, ring
-from hilrunner.realtime.clock import now_mono_ns, now_real_ns, wait_until
+from hilrunner.realtime.clock import WORD_CYCLE_RATE, anchor, now_mono_ns, now_real_ns, wait_until
 from hilrunner.realtime.cycle import decode_stage, encode_stage, fill_command_record, fill_state_record, step_stage
 from hilrunner.realtime.handle import handle
 from hilrunner.realtime.histogram import record_corrected, record_value
@@ -105,7 +105,7 @@ def _run_tick(bench, descriptor, tick, skipped, deadline_mono_ns):
     progress = bench.progress[0]
     progress["tick"] = tick
     clock = bench.clock
-    wake_ns = now_mono_ns(clock)
+    wake_ns = anchor(clock)
 
     received = np.int64(0)
     if descriptor >= 0:
@@ -168,7 +168,7 @@ def _send(bench, descriptor, due):
 def _response_ns(bench, sent):
     """From the kernel's stamp of the newest command to its answer on the bus; -1 when this tick answers none."""
     stamp_ns = bench.progress[0]["echo_real_ns"]
-    if stamp_ns == 0 or sent == 0:
+    if stamp_ns == 0 or sent == 0:  # no clock call in a tick that answers nothing
         return np.int64(-1)
     return now_real_ns(bench.clock) - stamp_ns
 
@@ -250,9 +250,12 @@ def _judge_tick(bench, tick, skipped, deadline_mono_ns, wake_ns, end_ns, receive
     """Count and explain a miss, and act on the profile's limits; status.EXIT_*."""
     progress = bench.progress[0]
     config = bench.config[0]
-    read_usage(config["schedstat_fd"], bench.rusage, bench.schedstat_text, bench.usage_after)
     late_ns = end_ns - (deadline_mono_ns + config["period_ns"])
     counted = tick >= config["warm_up_ticks"]
+    # where a system call is dear the counters are read at misses only, and tell of the time since the miss before
+    read = bench.clock[WORD_CYCLE_RATE] == 0 or late_ns > 0 or dropped
+    if read:
+        read_usage(config["schedstat_fd"], bench.rusage, bench.schedstat_text, bench.usage_after)
     reason = np.int64(status.EXIT_RUNNING)
     if late_ns > 0 and counted:
         progress["miss_count"] += 1
@@ -266,8 +269,9 @@ def _judge_tick(bench, tick, skipped, deadline_mono_ns, wake_ns, end_ns, receive
             progress["near_miss_left"] -= 1
     if counted and (late_ns > 0 or dropped):
         _record_miss(bench, tick, skipped, late_ns, wake_ns - deadline_mono_ns, end_ns - wake_ns, received, dropped)
-    for k in range(bench.usage_before.shape[0]):
-        bench.usage_before[k] = bench.usage_after[k]
+    if read:
+        for k in range(bench.usage_before.shape[0]):
+            bench.usage_before[k] = bench.usage_after[k]
     if late_ns > 0 and counted and config["overrun"] == status.OVERRUN_STOP:
         return np.int64(status.EXIT_DEADLINE)
     return reason
