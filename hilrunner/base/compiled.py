@@ -45,6 +45,8 @@ import numba  # noqa: E402  (nothing of numba may be imported before the cache f
 
 # Inner functions: compiled into whoever calls them. No fast-math: a replay must give the same bits.
 hot = numba.njit(nogil=True, error_model="numpy")
+# Small inner functions called by the hundred thousand each second: a real call would save and restore every register.
+inlined = numba.njit(nogil=True, error_model="numpy", forceinline=True)
 _cached = numba.njit(nogil=True, error_model="numpy", cache=True)
 
 

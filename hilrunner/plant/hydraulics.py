@@ -2,19 +2,19 @@
 
 import math
 
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import inlined
 
 _SATURATED = 20.0  # tanh(20) is 1 to the last bit
 _SERIES = 0.03  # below it four terms of the series are exact to rounding
 
 
-@hot
+@inlined
 def orifice_root(drop_pa, transition_pa):
     """Odd square root of a pressure drop with a laminar core: dp / (dp^2 + p_tr^2)^(1/4), in sqrt(Pa)."""
     return drop_pa / math.sqrt(math.sqrt(drop_pa * drop_pa + transition_pa * transition_pa))
 
 
-@hot
+@inlined
 def orifice_root_and_slope(drop_pa, transition_pa):
     """orifice_root and its derivative, in sqrt(Pa) and 1/sqrt(Pa)."""
     square = drop_pa * drop_pa
@@ -23,7 +23,7 @@ def orifice_root_and_slope(drop_pa, transition_pa):
     return drop_pa * inverse, inverse * (1.0 - 0.5 * square * half * half)
 
 
-@hot
+@inlined
 def inverse_orifice_root(root, transition_pa):
     """The drop whose orifice_root is `root`, in Pa (closed form: a quadratic in the square of the drop)."""
     square = root * root
@@ -32,7 +32,7 @@ def inverse_orifice_root(root, transition_pa):
     return math.copysign(math.sqrt(squared_drop), root)
 
 
-@hot
+@inlined
 def smoothstep(share):
     """3 s^2 - 2 s^3 between 0 and 1, constant outside: once continuously differentiable."""
     if share <= 0.0:
@@ -42,7 +42,7 @@ def smoothstep(share):
     return share * share * (3.0 - 2.0 * share)
 
 
-@hot
+@inlined
 def smoothstep_slope(share):
     """Derivative of smoothstep."""
     if share <= 0.0 or share >= 1.0:
@@ -50,7 +50,7 @@ def smoothstep_slope(share):
     return 6.0 * share * (1.0 - share)
 
 
-@hot
+@inlined
 def smooth_sign(ratio):
     """tanh to rounding (absolute error below 3e-16), at the cost of one exponential and none near rest or far from it."""
     size = abs(ratio)
@@ -64,7 +64,7 @@ def smooth_sign(ratio):
     return math.copysign(1.0 - 2.0 / (math.exp(2.0 * size) + 1.0), ratio)
 
 
-@hot
+@inlined
 def softened_bulk_modulus(pressure_pa, bulk_modulus_pa, cavitation_pa, width_pa, ratio):
     """Bulk modulus that falls to `ratio` of itself below the cavitation pressure: a function of state, conserves oil."""
     depth = (pressure_pa - cavitation_pa) / width_pa
@@ -73,7 +73,7 @@ def softened_bulk_modulus(pressure_pa, bulk_modulus_pa, cavitation_pa, width_pa,
     return bulk_modulus_pa * (ratio + (1.0 - ratio) * 0.5 * (1.0 + smooth_sign(depth)))
 
 
-@hot
+@inlined
 def stop_force(depth_m, rate_mps, stiffness_npm, damping_spm):
     """Push of a one-sided Hunt-Crossley stop: k d (1 + c d'), never a pull, nothing when not touched; N."""
     if depth_m <= 0.0:
@@ -81,7 +81,7 @@ def stop_force(depth_m, rate_mps, stiffness_npm, damping_spm):
     return max(0.0, stiffness_npm * depth_m * (1.0 + damping_spm * rate_mps))
 
 
-@hot
+@inlined
 def two_sided_stop_force(position_m, velocity_mps, travel_m, stiffness_npm, damping_spm):
     """Force of the stops at 0 and at `travel_m`, positive in the direction of the position; N."""
     if position_m < 0.0:
@@ -91,14 +91,14 @@ def two_sided_stop_force(position_m, velocity_mps, travel_m, stiffness_npm, damp
     return 0.0
 
 
-@hot
+@inlined
 def opening_ratio(position_m, stroke_m):
     """Share of the full port a counterbalance spool has opened: s^2 (2 - s), a V-notch start; 0..1."""
     share = min(max(position_m / stroke_m, 0.0), 1.0)
     return share * share * (2.0 - share)
 
 
-@hot
+@inlined
 def check_opening(drop_pa, crack_pa, range_pa):
     """Opening of a check valve, 0..1, from its cracking drop over `range_pa`."""
     return smoothstep((drop_pa - crack_pa) / range_pa)

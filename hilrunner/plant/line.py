@@ -10,7 +10,7 @@ f falls strictly in p_l and its root lies between min(p_t, p) and max(p_s, p): N
 a step leaves it.
 """
 
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import inlined
 from hilrunner.plant.hydraulics import orifice_root_and_slope, smoothstep, smoothstep_slope
 
 # A Newton step this small is taken and ends the search; pressure and flow follow it to first order, so what is left is
@@ -19,7 +19,7 @@ STEP_TOLERANCE_PA = 20.0
 ITERATION_LIMIT = 80  # bisection alone narrows 30 MPa to a rounding error in 80
 
 
-@hot
+@inlined
 def valve_side_flow(prm, line_pa, supply_si, return_si):
     """Flow from the directional valve, anti-cavitation and relief valve into a line, and its slope; m^3/s, m^3/(s Pa)."""
     transition = prm["transition_pressure_pa"]
@@ -47,7 +47,7 @@ def valve_side_flow(prm, line_pa, supply_si, return_si):
     return flow, slope
 
 
-@hot
+@inlined
 def chamber_side_flow(prm, line_pa, chamber_pa, cbv_si):
     """Flow from a line into its chamber through check valve and counterbalance spool, and its slope over the line pressure."""
     drop = line_pa - chamber_pa
@@ -63,7 +63,7 @@ def chamber_side_flow(prm, line_pa, chamber_pa, cbv_si):
     return opening * root, opening * root_slope + opening_slope * root
 
 
-@hot
+@inlined
 def line_balance(prm, line_pa, chamber_pa, cbv_si, supply_si, return_si):
     """Flow gathering in a line of no volume: zero at the line's pressure; m^3/s."""
     into, _ = valve_side_flow(prm, line_pa, supply_si, return_si)
@@ -71,7 +71,7 @@ def line_balance(prm, line_pa, chamber_pa, cbv_si, supply_si, return_si):
     return into - out
 
 
-@hot
+@inlined
 def solve_line(prm, chamber_pa, cbv_si, supply_si, return_si, guess_pa):
     """Pressure of a line and the flow it sends into its chamber.
 
@@ -113,21 +113,21 @@ def solve_line(prm, chamber_pa, cbv_si, supply_si, return_si, guess_pa):
     return line, chamber_side_flow(prm, line, chamber_pa, cbv_si)[0], ITERATION_LIMIT + 1, 0.0
 
 
-@hot
+@inlined
 def solve_supply_line(context, prm, chamber_pa, cbv_si, valve_si, guess_pa):
     """The line towards the pump, no edge to tank: (pressure, flow into the chamber, iterations). `context` is not used."""
     line, flow, iterations, _ = solve_line(prm, chamber_pa, cbv_si, valve_si, 0.0, guess_pa)
     return line, flow, iterations
 
 
-@hot
+@inlined
 def solve_return_line(context, prm, chamber_pa, cbv_si, valve_si, guess_pa):
     """The line towards the tank, no edge to the pump: (pressure, flow into the chamber, iterations). `context` unused."""
     line, flow, iterations, _ = solve_line(prm, chamber_pa, cbv_si, 0.0, valve_si, guess_pa)
     return line, flow, iterations
 
 
-@hot
+@inlined
 def valve_conductances(prm, valve_command):
     """Conductances (P->A, A->T, P->B, B->T) of the directional valve at a command of -1..1; m^3/(s sqrt(Pa))."""
     size = abs(valve_command)

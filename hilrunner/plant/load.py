@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import inlined
 from hilrunner.base.errors import ProfileError
 
 GRAVITY_MPS2 = 9.81
@@ -56,7 +56,7 @@ class LoadTable(NamedTuple):
         return packed
 
 
-@hot
+@inlined
 def segment_of(load, x_m):
     """Row of the coefficients that holds x: 0 left of the knots, knot_count right of them; NaN gives 0."""
     knots = load["knots_m"]
@@ -78,7 +78,7 @@ def segment_of(load, x_m):
     return low + 1
 
 
-@hot
+@inlined
 def load_force_n(load, x_m):
     """Static load force at rod position x, positive against extension; N."""
     row = segment_of(load, x_m)
@@ -87,7 +87,7 @@ def load_force_n(load, x_m):
     return c[row, 0] + d * (c[row, 1] + d * (c[row, 2] + d * c[row, 3]))
 
 
-@hot
+@inlined
 def load_force_and_mass(load, x_m):
     """Static load force, equivalent mass of the load at the rod, and the slope of that mass; N, kg, kg/m."""
     row = segment_of(load, x_m)

@@ -1,13 +1,13 @@
 """The rod: its load, its end stops, and the chambers it opens and closes."""
 
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import inlined
 from hilrunner.plant.hydraulics import softened_bulk_modulus, two_sided_stop_force
 from hilrunner.plant.load import load_force_and_mass
 
 _VOLUME_FLOOR = 0.05  # of the dead volume: an end stop pressed in further must not turn a volume negative
 
 
-@hot
+@inlined
 def rod_acceleration(prm, load, load_scale, position_m, velocity_mps, pressure_1_pa, pressure_2_pa):
     """M(x) v' = A1 p1 - A2 p2 - C v - s F_L(x) - M'(x) v^2 / 2 + stops; m/s^2.
 
@@ -32,7 +32,7 @@ def rod_acceleration(prm, load, load_scale, position_m, velocity_mps, pressure_1
     return force / (prm["mass_kg"] + load_mass)
 
 
-@hot
+@inlined
 def chamber_volumes(prm, position_m):
     """Volumes of chamber 1 and 2 with their dead volumes; m^3."""
     volume_1 = prm["dead_volume_1_m3"] + prm["bore_area_m2"] * position_m
@@ -42,7 +42,7 @@ def chamber_volumes(prm, position_m):
     return max(volume_1, floor_1), max(volume_2, floor_2)
 
 
-@hot
+@inlined
 def stiffness_of_oil(prm, pressure_pa):
     """Bulk modulus at a pressure, softened where the oil cavitates; Pa."""
     return softened_bulk_modulus(
@@ -54,7 +54,7 @@ def stiffness_of_oil(prm, pressure_pa):
     )
 
 
-@hot
+@inlined
 def pressure_rates(prm, position_m, velocity_mps, pressure_1_pa, pressure_2_pa, flow_1_m3ps, flow_2_m3ps):
     """p' = beta/V (q - V') of both chambers, flows positive into the chamber; Pa/s."""
     volume_1, volume_2 = chamber_volumes(prm, position_m)

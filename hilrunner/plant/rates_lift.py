@@ -9,13 +9,13 @@ because pressure trapped in a chamber would keep the other valve open after a st
 (p_a, p_b, worst iteration count, p1, p2, d p_a / d p1, d p_b / d p2, spool speed ratio 1, spool speed ratio 2).
 """
 
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import inlined
 from hilrunner.plant.line import solve_line
 from hilrunner.plant.mechanics import pressure_rates, rod_acceleration
 from hilrunner.plant.spool import cbv_conductance, mass_free_spool_ratio, opening_force, spool_acceleration
 
 
-@hot
+@inlined
 def start_lines(state):
     """The carry before the first stage, from an axis' state."""
     return state[8], state[9], 0, state[2], state[3], 0.0, 0.0, 0.0, 0.0
@@ -30,7 +30,7 @@ def make_lines(supply_line, return_line):
         hot (context, p1, p2, x_1, x_2, lines) -> (lines, q_1, q_2), flows positive into the chambers.
     """
 
-    @hot
+    @inlined
     def one_line(line_context, prm, chamber_pa, cbv_si, supply_si, return_si, guess_pa):
         if return_si == 0.0:
             line, flow, count = supply_line(line_context, prm, chamber_pa, cbv_si, supply_si, guess_pa)
@@ -43,13 +43,13 @@ def make_lines(supply_line, return_line):
     return _make_lines(one_line)
 
 
-@hot
+@inlined
 def _exact_line(line_context, prm, chamber_pa, cbv_si, supply_si, return_si, guess_pa):
     return solve_line(prm, chamber_pa, cbv_si, supply_si, return_si, guess_pa)
 
 
 def _make_lines(one_line):
-    @hot
+    @inlined
     def lines_at(context, pressure_1_pa, pressure_2_pa, spool_1_m, spool_2_m, lines):
         prm, _, _, conductances, line_context = context
         supply_a, return_a, supply_b, return_b = conductances
@@ -72,7 +72,7 @@ def _make_lines(one_line):
 def make_lift_rates(lines_at):
     """The eight rates of the full model over a `lines_at` of make_lines."""
 
-    @hot
+    @inlined
     def rates(context, y, lines):
         prm, load, load_scale, _, _ = context
         x, v, p1, p2, s1, s2, w1, w2 = y
@@ -98,7 +98,7 @@ def make_lift_rates(lines_at):
 def make_mass_free_rates(lines_at):
     """The six rates with spools without mass, over a `lines_at` of make_lines."""
 
-    @hot
+    @inlined
     def rates(context, y, lines):
         prm, load, load_scale, _, _ = context
         x, v, p1, p2, s1, s2 = y

@@ -1,12 +1,12 @@
 """Right-hand side of `lift-lines`: the circuit of `lift` with the oil of its hoses, ten states and no inner solve."""
 
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import inlined
 from hilrunner.plant.line import chamber_side_flow, valve_side_flow
 from hilrunner.plant.mechanics import pressure_rates, rod_acceleration, stiffness_of_oil
 from hilrunner.plant.spool import cbv_conductance, opening_force, spool_acceleration
 
 
-@hot
+@inlined
 def lift_lines_rates(context, y, lines):
     """x, v, p1, p2, x_1, x_2, w_1, w_2, p_a, p_b. `context` = (prm, load, load_scale, conductances)."""
     prm, load, load_scale, conductances = context

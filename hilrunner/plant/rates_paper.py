@@ -11,13 +11,13 @@ The spool is number 2 of the state layout; it is piloted by chamber 1 (Eq. 6).
 
 import math
 
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import inlined
 from hilrunner.plant.hydraulics import orifice_root
 from hilrunner.plant.mechanics import pressure_rates, rod_acceleration
 from hilrunner.plant.spool import cbv_conductance, mass_free_spool_speed, opening_force, spool_acceleration
 
 
-@hot
+@inlined
 def paper_flows(prm, pressure_1_pa, pressure_2_pa, cbv_si, valve_command):
     """(q_1 into chamber 1, q_2 into chamber 2 (negative when it drains), p_r); Eq. (2)-(5)."""
     supply = prm["valve_pa_si"] * valve_command
@@ -30,7 +30,7 @@ def paper_flows(prm, pressure_1_pa, pressure_2_pa, cbv_si, valve_command):
     return flow_1, flow_2, tank + cbv_si * cbv_si / square * (pressure_2_pa - tank)
 
 
-@hot
+@inlined
 def paper_rates(context, y, lines):
     """x, v, p1, p2, x_c, w_c: the complete model. `context` = (prm, load, load_scale, valve_command)."""
     prm, load, load_scale, valve_command = context
@@ -42,7 +42,7 @@ def paper_rates(context, y, lines):
     return (v, acceleration, rate_1, rate_2, speed, spool_acceleration(prm, force, spool, speed)), lines
 
 
-@hot
+@inlined
 def mass_free_paper_rates(context, y, lines):
     """x, v, p1, p2, x_c: spool without mass."""
     prm, load, load_scale, valve_command = context
@@ -54,14 +54,14 @@ def mass_free_paper_rates(context, y, lines):
     return (v, acceleration, rate_1, rate_2, mass_free_spool_speed(prm, force, spool)), lines
 
 
-@hot
+@inlined
 def quasi_static_spool_m(prm, pressure_1_pa, pressure_2_pa):
     """Where the spool would rest: spring against pilot, rigid stops (exact on a stop, unstable where it modulates)."""
     force = opening_force(prm, pressure_1_pa, pressure_2_pa, 0.0, prm["setting_2_pa"])
     return min(max(force / prm["spool_spring_npm"], 0.0), prm["spool_stroke_m"])
 
 
-@hot
+@inlined
 def quasi_static_paper_rates(context, y, lines):
     """x, v, p1, p2: the article's own reduction, spool at rest at every instant."""
     prm, load, load_scale, valve_command = context

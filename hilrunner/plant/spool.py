@@ -1,6 +1,6 @@
 """The spool of a counterbalance valve: spring against pilot, friction smoothed around standstill, elastic stops."""
 
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import inlined
 from hilrunner.plant.hydraulics import opening_ratio, smooth_sign, two_sided_stop_force
 
 # of the ratio speed / friction speed; the step is taken, so what is left is its square
@@ -9,20 +9,20 @@ _SATURATED = 20.0  # friction is constant to the last bit above
 _BALANCE_LIMIT = 60
 
 
-@hot
+@inlined
 def cbv_conductance(prm, position_m):
     """k_qc a_c(x_c): conductance of the spool's port; m^3/(s sqrt(Pa))."""
     return prm["cbv_si"] * opening_ratio(position_m, prm["spool_stroke_m"])
 
 
-@hot
+@inlined
 def opening_force(prm, pilot_pa, load_pa, back_pa, setting_pa):
     """What opens the spool against its preload: A_c (gamma p_pilot + p_load - setting - back pressure); N."""
     back = prm["back_pressure_share"] * (1.0 + prm["pilot_ratio"]) * back_pa
     return prm["spool_area_m2"] * (prm["pilot_ratio"] * pilot_pa + load_pa - setting_pa - back)
 
 
-@hot
+@inlined
 def spool_acceleration(prm, opening_force_n, position_m, velocity_mps):
     """Second-order spool: m_c w' = opening force - k_c x - c_c w - f_c tanh(w / v_s) + stops; m/s^2."""
     force = (
@@ -41,13 +41,13 @@ def spool_acceleration(prm, opening_force_n, position_m, velocity_mps):
     return force / prm["spool_mass_kg"]
 
 
-@hot
+@inlined
 def mass_free_spool_speed(prm, opening_force_n, position_m):
     """Speed of a spool without mass: the root of the same force balance with m_c = 0; m/s."""
     return prm["friction_speed_mps"] * mass_free_spool_ratio(prm, opening_force_n, position_m, 0.0)
 
 
-@hot
+@inlined
 def mass_free_spool_ratio(prm, opening_force_n, position_m, guess):
     """mass_free_spool_speed over the friction speed v_s, from a guess of it (any number)."""
     elastic = two_sided_stop_force(position_m, 0.0, prm["spool_stroke_m"], prm["spool_stop_stiffness_npm"], 0.0)
@@ -65,7 +65,7 @@ def mass_free_spool_ratio(prm, opening_force_n, position_m, guess):
     return ratio
 
 
-@hot
+@inlined
 def _speed_ratio(driving_n, viscous_n, friction_n, guess):
     """The z with viscous z + f_c tanh z = driving force: Newton, from the guess where it helps."""
     size = abs(driving_n)
