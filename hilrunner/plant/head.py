@@ -9,6 +9,11 @@ KERNEL_GENERIC = 2
 KERNEL_FOREIGN = 3
 KERNEL_NAMES = ("none", "vector", "generic", "onnxruntime")
 
+# in which quantities a flow network of circuit paper is asked
+FORM_SHARE = 0  # p1, root of p2, share of the spool: what `hilrunner train` makes
+FORM_PINNED = 3  # p1, p2, command: spool on its open stop
+FORM_PLAIN = 4  # p1, p2, command, opening
+
 MAX_QUANTITIES = 8  # inputs or outputs of one network
 
 HEAD_KERNEL = 0
@@ -16,6 +21,7 @@ HEAD_INPUTS = 1
 HEAD_OUTPUTS = 2
 HEAD_LAYERS = 3
 HEAD_ADDRESS = 4  # of the compiled kernel
+HEAD_FORM = 5  # FORM_*
 HEAD_LOW = 8  # MAX_QUANTITIES words: training range, low
 HEAD_HIGH = HEAD_LOW + MAX_QUANTITIES
 HEAD_FOREIGN = HEAD_HIGH + MAX_QUANTITIES  # FOREIGN_SIZE words: addresses

@@ -16,9 +16,13 @@ from hilrunner.plant import generic_kernel, vector_kernel
 from hilrunner.plant.foreign_call import FOREIGN_SIZE
 from hilrunner.plant.generic_kernel import ACTIVATION_LINEAR, ACTIVATION_TANH
 from hilrunner.plant.head import (
+    FORM_PINNED,
+    FORM_PLAIN,
+    FORM_SHARE,
     HEAD_ACTIVATION,
     HEAD_ADDRESS,
     HEAD_FOREIGN,
+    HEAD_FORM,
     HEAD_HIGH,
     HEAD_INPUTS,
     HEAD_KERNEL,
@@ -34,21 +38,30 @@ from hilrunner.plant.head import (
 )
 from hilrunner.plant.kernels import call_kernel, kernel_address
 
+__all__ = [
+    "FORM_PINNED",
+    "FORM_PLAIN",
+    "FORM_SHARE",
+    "Mlp",
+    "NetworkBank",
+    "SurrogateNetworks",
+    "assemble_bank",
+    "forward_at",
+]
+
 RECIPE_NONE = 0
 RECIPE_FLOW = 1  # networks give valve flows per unit command; volumes and mechanics are analytic
 RECIPE_PAPER = 2  # network gives pressure rates from (x, v, p1, p2, u)
 RECIPE_NAMES = ("none", "flow", "paper")
 
 # which network of an axis; column of NetworkBank.axis_start
-ROLE_FLOW = 0  # circuit paper, recipe flow, counterbalance spool on its open stop
-ROLE_MODULATING = 1  # the same with the spool anywhere
+ROLE_FLOW = 0  # circuit paper, recipe flow
 ROLE_RATES = 0  # circuit paper, recipe paper
 ROLE_SUPPLY = 0  # circuit lift: branch that is connected to the pump
 ROLE_RETURN = 1  # circuit lift: branch that is connected to the tank
 ROLE_COUNT = 2
 ROLES = {
     "flow": ROLE_FLOW,
-    "modulating": ROLE_MODULATING,
     "rates": ROLE_RATES,
     "supply": ROLE_SUPPLY,
     "return": ROLE_RETURN,
@@ -66,6 +79,7 @@ class Mlp:
         input_offset, input_scale, output_scale, output_offset: float64, the normalisation.
         input_low, input_high: training range, raw inputs; outside it FLAG_OUTSIDE_TRAINING is raised.
         input_names, output_names: quantities with their units last.
+        form: FORM_*, for role "flow": the quantities it is asked in.
         foreign: addresses for onnxruntime in the loop (foreign_call), None for the compiled kernels.
     """
 
@@ -81,6 +95,7 @@ class Mlp:
     input_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
     foreign: np.ndarray | None = None
+    form: int = FORM_SHARE
 
     @property
     def input_count(self) -> int:
@@ -159,6 +174,7 @@ def _head(network: Mlp) -> np.ndarray:
     head[HEAD_KERNEL] = network.kernel
     head[HEAD_INPUTS] = network.input_count
     head[HEAD_OUTPUTS] = network.output_count
+    head[HEAD_FORM] = network.form
     head[HEAD_ADDRESS] = kernel_address(network.kernel)
     head[HEAD_LOW : HEAD_LOW + network.input_count] = network.input_low
     head[HEAD_HIGH : HEAD_HIGH + network.input_count] = network.input_high

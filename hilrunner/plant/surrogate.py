@@ -119,15 +119,34 @@ def _advance_lift(model, axis, valve_command, load, load_scale, period_s, state,
 
 
 @hot
-def _flows_by_network(context, pressure_1_pa, pressure_2_pa, cbv_si, opening):
-    """(q_1, q_2) of the article's circuit at a command > 0: network times command, or exact outside the range."""
-    prm, _, _, valve_command, words, at, inputs, work = context
+def flow_inputs(prm, pressure_1_pa, pressure_2_pa, cbv_si, valve_command, work):
+    """Inputs of the flow network: p1, Pa; root of p2 over tank, sqrt(Pa); the spool's share K_c / (K_c + K_T u), 0..1."""
+    drain = prm["valve_bt_si"] * valve_command
+    work[X_AT] = pressure_1_pa
+    work[X_AT + 1] = orifice_root(pressure_2_pa - prm["tank_pressure_pa"], prm["transition_pressure_pa"])
+    work[X_AT + 2] = cbv_si / (cbv_si + drain)
+
+
+@hot
+def plain_flow_inputs(prm, pressure_1_pa, pressure_2_pa, cbv_si, valve_command, work):
+    """The same in plain quantities, for networks made elsewhere: p1, p2, Pa; command; opening of the spool, 0..1."""
     work[X_AT] = pressure_1_pa
     work[X_AT + 1] = pressure_2_pa
     work[X_AT + 2] = valve_command
-    if inputs == 4:
-        work[X_AT + 3] = opening
-    if outside_training(words, at, work, X_AT):
+    work[X_AT + 3] = cbv_si / prm["cbv_si"]
+
+
+@hot
+def _flows_by_network(context, pressure_1_pa, pressure_2_pa, cbv_si):
+    """(q_1, q_2) of the article's circuit at a command > 0: network times command, or exact outside the range."""
+    prm, _, _, valve_command, words, at, form, work = context
+    if form == network.FORM_SHARE:
+        flow_inputs(prm, pressure_1_pa, pressure_2_pa, cbv_si, valve_command, work)
+    else:
+        plain_flow_inputs(prm, pressure_1_pa, pressure_2_pa, cbv_si, valve_command, work)
+    # a network that does not know the spool's opening holds for a spool on its open stop
+    blind = form == network.FORM_PINNED and cbv_si != prm["cbv_si"]
+    if blind or outside_training(words, at, work, X_AT):
         work[OUTSIDE_AT] = 1.0
         work[EXACT_AT] += 1.0
         flow_1, flow_2, _ = paper_flows(prm, pressure_1_pa, pressure_2_pa, cbv_si, valve_command)
@@ -144,7 +163,7 @@ def _pinned_rates(context, y, lines):
     x, v, p1, p2 = y
     flow_1, flow_2 = 0.0, 0.0
     if valve_command > 0.0:
-        flow_1, flow_2 = _flows_by_network(context, p1, p2, prm["cbv_si"], 1.0)
+        flow_1, flow_2 = _flows_by_network(context, p1, p2, prm["cbv_si"])
     rate_1, rate_2 = pressure_rates(prm, x, v, p1, p2, flow_1, flow_2)
     return (v, rod_acceleration(prm, load, load_scale, x, v, p1, p2), rate_1, rate_2), lines
 
@@ -156,8 +175,7 @@ def _modulating_rates(context, y, lines):
     x, v, p1, p2, spool = y
     flow_1, flow_2 = 0.0, 0.0
     if valve_command > 0.0:
-        conductance = cbv_conductance(prm, spool)
-        flow_1, flow_2 = _flows_by_network(context, p1, p2, conductance, conductance / prm["cbv_si"])
+        flow_1, flow_2 = _flows_by_network(context, p1, p2, cbv_conductance(prm, spool))
     rate_1, rate_2 = pressure_rates(prm, x, v, p1, p2, flow_1, flow_2)
     force = opening_force(prm, p1, p2, 0.0, prm["setting_2_pa"])
     acceleration = rod_acceleration(prm, load, load_scale, x, v, p1, p2)
@@ -203,24 +221,15 @@ def _advance_paper(model, axis, valve_command, load, load_scale, period_s, state
     words = model.network.words
     command = max(valve_command, 0.0)
     at = model.network.axis_start[axis, network.ROLE_FLOW]
-    other = model.network.axis_start[axis, network.ROLE_MODULATING]
     count = model.substep_count[axis]
     step_s = period_s / count
     lines = (0.0, 0.0, 0)
-    pinned = state[5] >= prm["spool_stroke_m"] and _force_on_stop_n(prm, state[2], state[3]) > PINNED_MARGIN_N
-    if pinned and other >= 0:
-        # the narrow network is the better one; the wide one serves what lies outside its range
-        work[X_AT], work[X_AT + 1], work[X_AT + 2] = state[2], state[3], command
-        if command > 0.0 and outside_training(words, at, work, X_AT):
-            at = other
-    if pinned:
-        context = (prm, load, load_scale, command, words, at, int(words[at + network.HEAD_INPUTS]), work)
+    context = (prm, load, load_scale, command, words, at, int(words[at + network.HEAD_FORM]), work)
+    if state[5] >= prm["spool_stroke_m"] and _force_on_stop_n(prm, state[2], state[3]) > PINNED_MARGIN_N:
         y4, _ = _pinned(context, (state[0], state[1], state[2], state[3]), lines, step_s, count)
         state[0], state[1], state[2], state[3] = y4
         _rest_on_stop(prm, state)
     else:
-        at = other if other >= 0 else at
-        context = (prm, load, load_scale, command, words, at, int(words[at + network.HEAD_INPUTS]), work)
         y5, _ = _modulating(context, (state[0], state[1], state[2], state[3], state[5]), lines, step_s, count)
         state[0], state[1], state[2], state[3], state[5] = y5
         force = opening_force(prm, state[2], state[3], 0.0, prm["setting_2_pa"])
@@ -235,7 +244,7 @@ def _advance_article(model, axis, valve_command, load, load_scale, period_s, sta
     bank = model.network
     command = max(valve_command, 0.0)
     count = model.substep_count[axis]
-    context = (prm, load, load_scale, command, bank.words, bank.axis_start[axis, network.ROLE_RATES], 5, work)
+    context = (prm, load, load_scale, command, bank.words, bank.axis_start[axis, network.ROLE_RATES], 0, work)
     y, _ = _article(context, (state[0], state[1], state[2], state[3]), (0.0, 0.0, 0), period_s / count, count)
     state[0], state[1], state[2], state[3] = y
     _rest_on_stop(prm, state)

@@ -242,11 +242,12 @@ def _factors(quantities: tuple[dict, ...]) -> np.ndarray:
 
 def _order(network: model_text.NetworkText, text: model_text.ModelText) -> tuple[list[int], list[int]]:
     """Columns of the file's inputs and outputs in the order the reduced model uses."""
-    expected = model_text.ROLE_QUANTITIES[text.circuit, text.recipe, network.role]
+    _, inputs = model_text.input_form(text.circuit, text.recipe, network)
+    outputs = model_text.ROLE_OUTPUTS[text.circuit, text.recipe, network.role]
     orders = []
-    for quantities, names in zip((network.inputs, network.outputs), expected, strict=True):
+    for quantities, names in ((network.inputs, inputs), (network.outputs, outputs)):
         have = [model_text.stem(quantity["name"]) for quantity in quantities]
-        orders.append([have.index(name) for name in names if name in have])
+        orders.append([have.index(name) for name in names])
     return orders[0], orders[1]
 
 
@@ -290,6 +291,7 @@ def _in_si(place: str, chain: Chain, network: model_text.NetworkText, text: mode
         input_high=high,
         input_names=tuple(network.inputs[column]["name"] for column in inputs),
         output_names=tuple(network.outputs[column]["name"] for column in outputs),
+        form=model_text.input_form(text.circuit, text.recipe, network)[0],
     )
 
 

@@ -4,6 +4,7 @@ import json
 from dataclasses import dataclass
 
 from hilrunner.base.errors import ModelError
+from hilrunner.plant.head import FORM_PINNED, FORM_PLAIN, FORM_SHARE
 
 FORMAT = "1"
 KEY_FORMAT = "hil.format"
@@ -24,24 +25,25 @@ UNITS = {
     "Pa^(1/2)": 1.0, "Pa^(1/4)": 1.0,
 }  # fmt: skip
 
-# what the reduced model hands to a network and takes from it, by circuit, recipe and role; names without their unit
-ROLE_QUANTITIES: dict[tuple[str, str, str], tuple[tuple[str, ...], tuple[str, ...]]] = {
-    ("lift", "flow", "supply"): (("demand_root", "spool_share", "supply_drop"), ("line_over_chamber",)),
-    ("lift", "flow", "return"): (("chamber_root", "spool_share"), ("line_root",)),
-    ("paper", "flow", "flow"): (
-        ("chamber_1_pressure", "chamber_2_pressure", "valve_command", "spool_opening"),
-        ("flow_1_per_command", "flow_2_per_command"),
-    ),
-    ("paper", "flow", "modulating"): (
-        ("chamber_1_pressure", "chamber_2_pressure", "valve_command", "spool_opening"),
-        ("flow_1_per_command", "flow_2_per_command"),
-    ),
+# what the reduced model hands to a network and takes from it, by circuit, recipe and role; names without their unit.
+# Where several input lists stand, a file uses one of them.
+_FLOWS = ("flow_1_per_command", "flow_2_per_command")
+_PLAIN = ("chamber_1_pressure", "chamber_2_pressure", "valve_command", "spool_opening")
+ROLE_INPUTS: dict[tuple[str, str, str], tuple[tuple[str, ...], ...]] = {
+    ("lift", "flow", "supply"): (("demand_root", "spool_share", "supply_drop"),),
+    ("lift", "flow", "return"): (("chamber_root", "spool_share"),),
+    ("paper", "flow", "flow"): (("chamber_1_pressure", "chamber_2_root", "spool_share"), _PLAIN[:3], _PLAIN),
     ("paper", "paper", "rates"): (
         ("rod_position", "rod_velocity", "chamber_1_pressure", "chamber_2_pressure", "valve_command"),
-        ("chamber_1_pressure_rate", "chamber_2_pressure_rate"),
     ),
 }
-OPTIONAL_INPUTS = {"spool_opening"}  # only as the last input, and only for role "flow"
+ROLE_OUTPUTS: dict[tuple[str, str, str], tuple[str, ...]] = {
+    ("lift", "flow", "supply"): ("line_over_chamber",),
+    ("lift", "flow", "return"): ("line_root",),
+    ("paper", "flow", "flow"): _FLOWS,
+    ("paper", "paper", "rates"): ("chamber_1_pressure_rate", "chamber_2_pressure_rate"),
+}
+FORMS = (FORM_SHARE, FORM_PINNED, FORM_PLAIN)  # of the input lists of role "flow"
 REQUIRED_ROLES = {("lift", "flow"): ("supply", "return"), ("paper", "flow"): ("flow",), ("paper", "paper"): ("rates",)}
 _UNIT_ENDINGS = (
     "_mm3ps", "_m3ps", "_lpmin", "_mmps", "_mps", "_mpaps", "_paps", "_barps", "_mpa", "_kpa", "_bar", "_sqrtpa",
@@ -127,27 +129,30 @@ def _json(place: str, properties: dict[str, str], key: str, kind: type):
 
 def _network(place: str, circuit: str, recipe: str, entry: dict) -> NetworkText:
     role = str(entry.get("role", "")) if isinstance(entry, dict) else ""
-    expected = ROLE_QUANTITIES.get((circuit, recipe, role))
-    if expected is None:
-        known = ", ".join(r for c, n, r in ROLE_QUANTITIES if (c, n) == (circuit, recipe))
+    lists = ROLE_INPUTS.get((circuit, recipe, role))
+    if lists is None:
+        known = ", ".join(r for c, n, r in ROLE_INPUTS if (c, n) == (circuit, recipe))
         raise ModelError(place, f"role '{role}' is unknown for {circuit}/{recipe}", known)
     inputs, outputs = tuple(entry.get("inputs", ())), tuple(entry.get("outputs", ()))
-    required = [name for name in expected[0] if not (name in OPTIONAL_INPUTS and role == "flow")]
-    _match(f"{place}: network '{role}' inputs", inputs, required, expected[0], True)
-    _match(f"{place}: network '{role}' outputs", outputs, expected[1], expected[1], False)
+    _match(f"{place}: network '{role}' inputs", inputs, lists, True)
+    _match(f"{place}: network '{role}' outputs", outputs, (ROLE_OUTPUTS[circuit, recipe, role],), False)
     return NetworkText(role, str(entry.get("input", "")), str(entry.get("output", "")), inputs, outputs)
 
 
-def _match(place: str, quantities: tuple[dict, ...], required, allowed, ranged: bool) -> None:
+def input_form(circuit: str, recipe: str, network: NetworkText) -> tuple[int, tuple[str, ...]]:
+    """(FORM_*, names in the reduced model's order) of the input list a network uses."""
+    names = sorted(stem(quantity["name"]) for quantity in network.inputs)
+    lists = ROLE_INPUTS[circuit, recipe, network.role]
+    index = next(place for place, names_here in enumerate(lists) if sorted(names_here) == names)
+    return FORMS[index], lists[index]
+
+
+def _match(place: str, quantities: tuple[dict, ...], lists: tuple[tuple[str, ...], ...], ranged: bool) -> None:
     names = [stem(str(quantity.get("name", ""))) for quantity in quantities if isinstance(quantity, dict)]
-    if len(names) != len(quantities) or len(set(names)) != len(names):
-        raise ModelError(place, f"names {names}: each must be there once", ", ".join(allowed))
-    for name in required:
-        if name not in names:
-            raise ModelError(place, f"'{name}' is missing", ", ".join(allowed), "name it, with its unit")
-    for name, quantity in zip(names, quantities, strict=True):
-        if name not in allowed:
-            raise ModelError(place, f"'{quantity['name']}' is not a quantity of this network", ", ".join(allowed))
+    if len(names) != len(quantities) or sorted(names) not in [sorted(names_here) for names_here in lists]:
+        known = " or ".join("(" + ", ".join(names_here) + ")" for names_here in lists)
+        raise ModelError(place, f"({', '.join(names)})", known, "name each quantity once, with its unit last")
+    for quantity in quantities:
         if quantity.get("unit") not in UNITS:
             raise ModelError(place, f"'{quantity['name']}' has unit {quantity.get('unit')!r}", ", ".join(UNITS))
         if ranged:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 
 import torch
 
+from hilrunner.training.dataset import Data
 from hilrunner.training.mlp import Shape
 
 DAMPING_START = 1e-3
@@ -42,14 +43,6 @@ class Progress:
 
 
 @dataclass(frozen=True)
-class Data:
-    """Normalised inputs (n, i) and targets (n, o), float64 on one device."""
-
-    inputs: torch.Tensor
-    targets: torch.Tensor
-
-
-@dataclass(frozen=True)
 class Limits:
     """When to stop."""
 
@@ -66,8 +59,8 @@ class Limits:
 def squared_error(shape: Shape, parameters: torch.Tensor, data: Data, chunk: int = 65536) -> float:
     """Sum of squared errors over all points and outputs."""
     total = 0.0
-    for first in range(0, len(data.inputs), chunk):
-        error = shape.values(parameters, data.inputs[first : first + chunk]) - data.targets[first : first + chunk]
+    for inputs, targets in data.batches(chunk, parameters.device):
+        error = shape.values(parameters, inputs) - targets
         total += float((error * error).sum())
     return total
 
@@ -80,9 +73,9 @@ def normal_equations(
     square = torch.zeros((count, count), dtype=torch.float64, device=parameters.device)
     slope = torch.zeros(count, dtype=torch.float64, device=parameters.device)
     total = 0.0
-    for first in range(0, len(data.inputs), chunk):
-        outputs, jacobian = shape.values_and_jacobian(parameters, data.inputs[first : first + chunk])
-        error = outputs - data.targets[first : first + chunk]
+    for inputs, targets in data.batches(chunk, parameters.device):
+        outputs, jacobian = shape.values_and_jacobian(parameters, inputs)
+        error = outputs - targets
         for output in range(outputs.shape[1]):
             square.addmm_(jacobian[output].T, jacobian[output])
             slope.addmv_(jacobian[output].T, error[:, output])
@@ -103,7 +96,7 @@ def train(
     report: called after every iteration (progress line, checkpoint).
     """
     started = time.monotonic() - progress.seconds
-    target_count = data.targets.numel()
+    target_count = data.target_count
     while not progress.reason:
         square, slope, error = normal_equations(shape, progress.parameters, data)
         weights = float((progress.parameters**2).sum())
@@ -155,7 +148,7 @@ def _update_evidence(shape, progress, square, error, target_count) -> None:
 
 
 def _validate(shape, validation, progress, error, target_count) -> None:
-    mean = squared_error(shape, progress.parameters, validation) / validation.targets.numel()
+    mean = squared_error(shape, progress.parameters, validation) / validation.target_count
     if mean < progress.best_validation:
         progress.best_validation = mean
         progress.best_parameters = progress.parameters.clone()

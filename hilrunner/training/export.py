@@ -64,8 +64,12 @@ def to_onnx(networks: list[Trained], circuit: str, recipe: str, parameters: dict
     for network in networks:
         _append(network, nodes, constants)
         width = (len(network.inputs), len(network.outputs))
-        inputs.append(helper.make_tensor_value_info(network.role, TensorProto.DOUBLE, [f"{network.role}_rows", width[0]]))
-        outputs.append(helper.make_tensor_value_info(f"{network.role}_out", TensorProto.DOUBLE, [f"{network.role}_rows", width[1]]))
+        inputs.append(
+            helper.make_tensor_value_info(network.role, TensorProto.DOUBLE, [f"{network.role}_rows", width[0]])
+        )
+        outputs.append(
+            helper.make_tensor_value_info(f"{network.role}_out", TensorProto.DOUBLE, [f"{network.role}_rows", width[1]])
+        )
     graph = helper.make_graph(nodes, f"{circuit}-{recipe}", inputs, outputs, constants)
     model = helper.make_model(
         graph,

@@ -5,7 +5,7 @@ import numpy as np
 from hilrunner.base import compiled, status
 from hilrunner.base.errors import UsageError
 from hilrunner.plant import surrogate
-from hilrunner.plant.hydraulics import orifice_root
+from hilrunner.plant.hydraulics import inverse_orifice_root, orifice_root
 from hilrunner.plant.line import ITERATION_LIMIT, solve_return_line, solve_supply_line
 from hilrunner.plant.mechanics import pressure_rates
 from hilrunner.plant.parameters import SPEC_BY_KEY
@@ -13,7 +13,6 @@ from hilrunner.plant.rates_paper import paper_flows, quasi_static_spool_m
 from hilrunner.plant.spool import cbv_conductance
 from hilrunner.training.problem import Problem, Quantity, Recipe
 
-SMALLEST_COMMAND = 1e-6  # stands for the limit u -> 0 of flow per unit command
 HIGHEST_PRESSURE_PA = 15e6
 
 
@@ -25,7 +24,7 @@ def make_recipe(circuit: int, name: str, parameters: np.ndarray) -> Recipe:
     """
     problems = {
         (status.CIRCUIT_LIFT, "flow"): lambda: (_supply(parameters), _return(parameters)),
-        (status.CIRCUIT_PAPER, "flow"): lambda: (_pinned_flow(parameters), _modulating_flow(parameters)),
+        (status.CIRCUIT_PAPER, "flow"): lambda: (_flow(parameters),),
         (status.CIRCUIT_PAPER, "paper"): lambda: (_rates(parameters),),
     }.get((circuit, name))
     if problems is None:
@@ -148,14 +147,15 @@ def _return(parameters: np.ndarray) -> Problem:
 
 
 @compiled.entry
-def _flow_answers(parameters, inputs, targets, solved):
+def _flow_answers(parameters, pressure_2_pa, inputs, targets, solved):
     prm = parameters[0]
     for i in range(len(inputs)):
-        opening = inputs[i, 3] if inputs.shape[1] > 3 else 1.0
-        command = max(inputs[i, 2], SMALLEST_COMMAND)
-        flow_1, flow_2, _ = paper_flows(prm, inputs[i, 0], inputs[i, 1], opening * prm["cbv_si"], command)
-        targets[i, 0] = flow_1 / command
-        targets[i, 1] = flow_2 / command
+        # flow per unit command depends on the ratio of the two conductances only: the command is 1 everywhere
+        share = min(inputs[i, 2], _SHARE_LIMIT)
+        cbv = share / (1.0 - share) * prm["valve_bt_si"]
+        flow_1, flow_2, _ = paper_flows(prm, inputs[i, 0], pressure_2_pa[i], cbv, 1.0)
+        targets[i, 0] = flow_1
+        targets[i, 1] = flow_2
         solved[i] = True
 
 
@@ -168,48 +168,43 @@ _FLOW_KEYS = (
     "cbv_mm3ps_sqrtmpa",
     "series_floor_mm3ps_sqrtmpa",
 )
-_FLOW_OUTPUTS = (
-    Quantity("flow_1_per_command_m3ps", "m^3/s"),
-    Quantity("flow_2_per_command_m3ps", "m^3/s"),
-)
+_CHAMBER_1_HIGH_PA = 14e6
+_CHAMBER_2_PA = (-0.1e6, 4e6)  # from absolute vacuum to eight times what lifting needs
+_SHARE_LIMIT = 1.0 - 1e-12  # stands for the limit of a command of 0
 
 
-def _flow_problem(parameters: np.ndarray, role: str, inputs: tuple[Quantity, ...]) -> Problem:
+def _flow(parameters: np.ndarray) -> Problem:
+    prm = parameters[0]
+    tank, transition = prm["tank_pressure_pa"], prm["transition_pressure_pa"]
+    roots = [_root(value - tank, transition) for value in _CHAMBER_2_PA]
+    inputs = (
+        Quantity("chamber_1_pressure_pa", "Pa", _CHAMBER_2_PA[0], _CHAMBER_1_HIGH_PA),
+        Quantity("chamber_2_root_sqrtpa", "Pa^(1/2)", roots[0], roots[1]),
+        Quantity("spool_share_ratio", "1", 0.0, 1.0),
+    )
     low = np.array([quantity.low for quantity in inputs])
     high = np.array([quantity.high for quantity in inputs])
 
     def answer(points: np.ndarray):
         values = low + (high - low) * points
+        chamber_2 = tank + _inverse_roots(values[:, 1], transition)
         targets, solved = np.empty((len(points), 2)), np.empty(len(points), np.bool_)
-        _flow_answers(parameters, values, targets, solved)
+        _flow_answers(parameters, chamber_2, values, targets, solved)
         return values, targets, solved
 
-    return Problem(role, inputs, _FLOW_OUTPUTS, len(inputs), answer, _values(parameters, *_FLOW_KEYS))
-
-
-def _pinned_flow(parameters: np.ndarray) -> Problem:
-    return _flow_problem(
-        parameters,
-        "flow",
-        (
-            Quantity("chamber_1_pressure_pa", "Pa", 7e6, 10.5e6),
-            Quantity("chamber_2_pressure_pa", "Pa", 0.05e6, 1.2e6),
-            Quantity("valve_command_ratio", "1", 0.0, 1.0),
-        ),
+    outputs = (
+        Quantity("flow_1_per_command_m3ps", "m^3/s"),
+        Quantity("flow_2_per_command_m3ps", "m^3/s"),
     )
+    return Problem("flow", inputs, outputs, 3, answer, _values(parameters, *_FLOW_KEYS))
 
 
-def _modulating_flow(parameters: np.ndarray) -> Problem:
-    return _flow_problem(
-        parameters,
-        "modulating",
-        (
-            Quantity("chamber_1_pressure_pa", "Pa", 0.0, 14e6),
-            Quantity("chamber_2_pressure_pa", "Pa", 0.05e6, 14e6),
-            Quantity("valve_command_ratio", "1", 0.0, 1.0),
-            Quantity("spool_opening_ratio", "1", 0.0, 1.0),
-        ),
-    )
+@compiled.entry
+def _inverse_roots(roots, transition_pa):
+    out = np.empty(len(roots))
+    for i in range(len(roots)):
+        out[i] = inverse_orifice_root(roots[i], transition_pa)
+    return out
 
 
 @compiled.entry
