@@ -4,7 +4,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
 
 from hilrunner.base.compiled import inlined
 from hilrunner.base.errors import ProfileError
@@ -138,14 +137,44 @@ def _check_table(x: np.ndarray, force: np.ndarray, mass: np.ndarray) -> None:
 
 
 def _cubics_with_linear_ends(x: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """(n + 1, 4) rising coefficients; PCHIP inside (Fritsch & Butland 1984), straight lines outside."""
-    interpolant = PchipInterpolator(x, values)
+    """(n + 1, 4) rising coefficients; monotone cubics (PCHIP) inside, straight lines outside."""
+    slope = monotone_slopes(x, values)
+    width = np.diff(x)
+    secant = np.diff(values) / width
     rows = np.zeros((len(x) + 1, 4))
-    rows[1:-1] = interpolant.c[::-1].T
-    slope = interpolant.derivative()
-    rows[0, :2] = values[0], slope(x[0])
-    rows[-1, :2] = values[-1], slope(x[-1])
+    rows[1:-1, 0] = values[:-1]
+    rows[1:-1, 1] = slope[:-1]
+    rows[1:-1, 2] = (3.0 * secant - 2.0 * slope[:-1] - slope[1:]) / width
+    rows[1:-1, 3] = (slope[:-1] + slope[1:] - 2.0 * secant) / width**2
+    rows[0, :2] = values[0], slope[0]
+    rows[-1, :2] = values[-1], slope[-1]
     return rows
+
+
+def monotone_slopes(x: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """(n,) slopes at the knots by Fritsch & Butland (SIAM J. Sci. Stat. Comput. 5, 1984): harmonic means, 0 at extrema."""
+    width = np.diff(x)
+    secant = np.diff(values) / width
+    if len(x) == 2:
+        return np.array([secant[0], secant[0]])
+    slope = np.zeros_like(values)
+    same = secant[:-1] * secant[1:] > 0.0
+    left, right = width[:-1][same], width[1:][same]
+    weight_1, weight_2 = 2.0 * right + left, right + 2.0 * left
+    slope[1:-1][same] = (weight_1 + weight_2) / (weight_1 / secant[:-1][same] + weight_2 / secant[1:][same])
+    slope[0] = _end_slope(width[0], width[1], secant[0], secant[1])
+    slope[-1] = _end_slope(width[-1], width[-2], secant[-1], secant[-2])
+    return slope
+
+
+def _end_slope(width_0: float, width_1: float, secant_0: float, secant_1: float) -> float:
+    """Three-point slope at an end, limited so that the curve keeps its shape."""
+    slope = ((2.0 * width_0 + width_1) * secant_0 - width_0 * secant_1) / (width_0 + width_1)
+    if slope * secant_0 <= 0.0:
+        return 0.0
+    if secant_0 * secant_1 <= 0.0 and abs(slope) > 3.0 * abs(secant_0):
+        return 3.0 * secant_0
+    return slope
 
 
 def constant(force_n: float, mass_kg: float = 0.0, stroke_m: float = 2.0) -> LoadTable:
