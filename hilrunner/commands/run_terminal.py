@@ -117,15 +117,21 @@ def _print_recorder(summary: dict) -> None:
         f"  log: {recorder['log_path']}, {recorder['tick_count']} ticks, {recorder['size_bytes'] / 1e6:.2f} MB, "
         f"{recorder['dropped_ticks']} ticks dropped, {recorder['lost_bytes']} bytes lost"
     )
-    check = recorder.get("check")
-    if check:
-        for name, figures in check.items():
-            if isinstance(figures, dict):
-                print(
-                    f"  cross-check {name}: "
-                    + ", ".join(
-                        f"{key} {value:.4g}" for key, value in figures.items() if isinstance(value, (int, float))
-                    )
-                )
+    for name, figures in (recorder.get("check") or {}).items():
+        if isinstance(figures, dict) and figures.get("checked_ticks"):
+            print(f"  cross-check {name}: {_check_text(figures)}")
     if summary["check_failed_tick"] is not None:
         print(f"  cross-check: out of tolerance at tick {summary['check_failed_tick']}")
+
+
+def _check_text(figures: dict) -> str:
+    """Largest distances from the first-principle model: free-running beside the run, and over one step."""
+    free = (
+        f"p1 {figures['chamber_1_pressure_error_pa_max'] / PA_PER_MPA:.2e} MPa, "
+        f"p2 {figures['chamber_2_pressure_error_pa_max'] / PA_PER_MPA:.2e} MPa, "
+        f"x {figures['rod_position_error_m_max'] / M_PER_MM:.2e} mm"
+    )
+    step = max(
+        figures["one_step_chamber_1_pressure_error_pa_max"], figures["one_step_chamber_2_pressure_error_pa_max"]
+    )
+    return f"{free} from the first-principle model over {figures['checked_ticks']} ticks; one step {step / PA_PER_MPA:.2e} MPa"
