@@ -95,10 +95,18 @@ def _axis_plant(loaded: LoadedProfile, index: int, engine: int, understood: list
         load=_load_table(axis.load, place),
         substep_count=1,
         networks=None,
+        position_range_m=_position_range_m(axis),
     )
     if engine != status.ENGINE_REFERENCE:
         plant = replace(plant, networks=_networks(loaded, axis, place, engine, parameters, understood))
     return replace(plant, substep_count=_substeps(loaded, axis, plant, place))
+
+
+def _position_range_m(axis: Axis) -> tuple[float, float] | None:
+    if axis.position_range_mm is None:
+        return None
+    low, high = axis.position_range_mm
+    return low * M_PER_MM, high * M_PER_MM
 
 
 def _networks(loaded: LoadedProfile, axis: Axis, place: str, engine: int, parameters, understood: list | None):

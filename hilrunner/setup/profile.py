@@ -67,6 +67,7 @@ class Axis(Struct, forbid_unknown_fields=True, frozen=True):
     circuit: Literal["paper", "lift", "lift-lines"] = "lift"
     preset: str = "lift"
     initial_position_mm: Annotated[float, Meta(ge=0, le=100_000)] = 600.0
+    position_range_mm: tuple[NotNegative, NotNegative] | None = None  # where stability is judged; None: the whole stroke
     model: str | None = None  # file under profiles/models, or a path relative to the profile
     reference: Literal["exact", "fast"] = "exact"
     reference_substeps: Annotated[int, Meta(ge=0, le=10_000)] = 0  # 0: chosen from the stability limit
@@ -295,6 +296,7 @@ def _check_relations(profile: Profile, place: str) -> None:
         raise ProfileError(f"{place}: axis", f"two axes share a name in {names}", remedy="give each axis its own name")
     for index, axis in enumerate(profile.axis):
         _check_load(axis.load, f"{place}: axis[{index}].load")
+        _check_range(axis, f"{place}: axis[{index}].position_range_mm")
     for index, fault in enumerate(profile.fault):
         _check_fault(fault, names, f"{place}: fault[{index}]")
     period_ms = profile.bench.period_us / 1000
@@ -306,6 +308,18 @@ def _check_relations(profile: Profile, place: str) -> None:
                 limit=f">= {period_ms} ms",
                 remedy="raise it to the firmware's cycle time times the frames it may lose",
             )
+
+
+def _check_range(axis: Axis, place: str) -> None:
+    if axis.position_range_mm is None:
+        return
+    low, high = axis.position_range_mm
+    if not low <= axis.initial_position_mm <= high or low == high:
+        raise ProfileError(
+            place,
+            f"{low:g} to {high:g} mm does not hold the initial position {axis.initial_position_mm:g} mm",
+            remedy="widen the range or move the start",
+        )
 
 
 def _check_load(load: Load, place: str) -> None:
