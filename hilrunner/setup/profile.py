@@ -67,7 +67,8 @@ class Axis(Struct, forbid_unknown_fields=True, frozen=True):
     circuit: Literal["paper", "lift", "lift-lines"] = "lift"
     preset: str = "lift"
     initial_position_mm: Annotated[float, Meta(ge=0, le=100_000)] = 600.0
-    position_range_mm: tuple[NotNegative, NotNegative] | None = None  # where stability is judged; None: the whole stroke
+    # where the rod is meant to be, stability is judged there; None: the whole stroke
+    position_range_mm: tuple[NotNegative, NotNegative] | None = None
     model: str | None = None  # file under profiles/models, or a path relative to the profile
     reference: Literal["exact", "fast"] = "exact"
     reference_substeps: Annotated[int, Meta(ge=0, le=10_000)] = 0  # 0: chosen from the stability limit
