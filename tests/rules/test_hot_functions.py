@@ -9,6 +9,7 @@ ALLOCATORS = {
     "stack", "vstack", "hstack", "copy", "dot", "matmul", "append", "sort", "argsort", "where", "list", "dict", "set",
     "print", "str", "open", "bytes", "isinstance", "getattr",
 }  # fmt: skip
+OFFLINE = "hilrunner/plant/ida"  # the offline solver is compiled too, and may allocate
 FORBIDDEN_NODES = (
     ast.Raise, ast.Try, ast.With, ast.Yield, ast.YieldFrom, ast.Await, ast.JoinedStr, ast.ListComp, ast.SetComp, ast.DictComp,
     ast.GeneratorExp, ast.List, ast.Dict, ast.Set, ast.Lambda, ast.Global, ast.Nonlocal, ast.Import, ast.ImportFrom,
@@ -45,7 +46,7 @@ def test_hot_functions_keep_the_house_rules():
     bad = {
         f"{f.path}:{f.name}": offences(f.node)
         for f in hot
-        if f.path.startswith(("hilrunner/realtime", "hilrunner/plant"))
+        if f.path.startswith(("hilrunner/realtime/", "hilrunner/plant/")) and not f.path.startswith(OFFLINE)
     }
     assert {name: found for name, found in bad.items() if found} == {}
 
