@@ -49,6 +49,6 @@ def main(args: argparse.Namespace) -> int:
             f"{axis['stability_limit_us']} us"
         )
     for report in armed.axes.model_reports:
-        print(f"  model: {report.summary()}")
+        print("  " + report.text().replace("\n", "\n    "))
     print(f"  {found['dbc']}: bus load {100 * load:.1f} % of {loaded.profile.can.bitrate} bit/s")
     return 0

@@ -22,7 +22,7 @@ def print_start(session: Session) -> None:
             f"p1 {state[state_layout.CHAMBER_1_PRESSURE] / PA_PER_MPA:.3f} MPa"
         )
     for report in axes.model_reports:
-        print(f"  model: {report.summary()}")
+        print("  " + report.text().replace("\n", "\n    "))
     print(f"  bus: {session.bus.name if session.bus else 'none (stimulus)'}")
     refused = [grant for grant in session.grants if not grant.granted]
     print(f"  real time: {len(session.grants) - len(refused)} of {len(session.grants)} asked for were granted")

@@ -119,6 +119,7 @@ def _networks(loaded: LoadedProfile, axis: Axis, place: str, engine: int, parame
         circuit=axis.circuit,
         parameters=parameters,
         in_loop=engine == status.ENGINE_ONNX,
+        description=axis.network or None,
     )
     if understood is not None:
         understood.append(report)

@@ -70,6 +70,7 @@ class Axis(Struct, forbid_unknown_fields=True, frozen=True):
     # where the rod is meant to be, stability is judged there; None: the whole stroke
     position_range_mm: tuple[NotNegative, NotNegative] | None = None
     model: str | None = None  # file under profiles/models, or a path relative to the profile
+    network: dict[str, Any] = field(default_factory=dict)  # hil.* keys for a model without metadata (docs/surrogate.md)
     reference: Literal["exact", "fast"] = "exact"
     reference_substeps: Annotated[int, Meta(ge=0, le=10_000)] = 0  # 0: chosen from the stability limit
     surrogate_substeps: Annotated[int, Meta(ge=0, le=10_000)] = 0
