@@ -37,6 +37,12 @@ class ModelReport:
     lines: tuple[str, ...]  # one a network, then what was compared
     largest_difference_ratio: float  # compiled against onnxruntime, of the outputs' range
 
+    def summary(self) -> str:
+        """One line for a terminal."""
+        return f"{self.path.name} ({self.circuit}, {self.recipe}; sha256 {self.sha256[:12]}): " + "; ".join(
+            line.strip() for line in self.lines
+        )
+
     def text(self) -> str:
         """Several lines for a terminal."""
         return "\n".join([f"model {self.path.name}: circuit {self.circuit}, recipe {self.recipe}", *self.lines])

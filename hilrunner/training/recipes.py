@@ -6,7 +6,7 @@ from hilrunner.base import compiled, status
 from hilrunner.base.errors import UsageError
 from hilrunner.plant import surrogate
 from hilrunner.plant.hydraulics import inverse_orifice_root, orifice_root
-from hilrunner.plant.line import ITERATION_LIMIT, solve_return_line, solve_supply_line
+from hilrunner.plant.line import ITERATION_LIMIT, solve_return_line, solve_supply_line, valve_conductances
 from hilrunner.plant.mechanics import pressure_rates
 from hilrunner.plant.parameters import SPEC_BY_KEY
 from hilrunner.plant.rates_paper import paper_flows, quasi_static_spool_m
@@ -114,12 +114,23 @@ def _root(drop_pa, transition_pa):
     return orifice_root(drop_pa, transition_pa)
 
 
+def _smallest_return_si(prm, command: float) -> float:
+    """The least a return edge opens at a command, with the centre bleed; either side."""
+    return min(_conductances(prm, -command)[1], _conductances(prm, command)[3])
+
+
+@compiled.entry
+def _conductances(prm, command):
+    return valve_conductances(prm, command)
+
+
 def _return(parameters: np.ndarray) -> Problem:
     prm = parameters[0]
     valve_si = max(prm["valve_bt_si"], prm["valve_at_si"])
     low, high = surrogate.RETURN_LOW_PA, HIGHEST_PRESSURE_PA - prm["tank_pressure_pa"]
     # the answer depends on the ratio of the two conductances only: one valve size stands for all
-    smallest = valve_si * prm["bleed_range"]
+    commands = np.linspace(0.0, 1.0, 2001)
+    smallest = min(_smallest_return_si(prm, float(command)) for command in commands)
     share_high = float(prm["cbv_si"] / (prm["cbv_si"] + smallest))
 
     def answer(points: np.ndarray):
