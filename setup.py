@@ -21,6 +21,9 @@ DATA = {
 setup(
     packages=find_packages(include=["hilrunner", "hilrunner.*"]) + [f"hilrunner._data.{name}" for name in DATA],
     package_dir={f"hilrunner._data.{name}": name for name in DATA},
-    package_data={f"hilrunner._data.{name}": patterns for name, patterns in DATA.items()},
+    package_data={
+        **{f"hilrunner._data.{name}": patterns for name, patterns in DATA.items()},
+        "hilrunner.evidence": ["page.css"],
+    },
     include_package_data=False,
 )

@@ -6,11 +6,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
-from msgspec import structs
 
 from hilrunner.base import compiled, records, status
 from hilrunner.base.errors import LogError
-from hilrunner.base.units import NS_PER_US
 from hilrunner.evidence.facts import PROFILE_ATTACHMENT
 from hilrunner.evidence.reader import Run
 from hilrunner.setup.profile import LoadedProfile, load_profile
@@ -33,19 +31,7 @@ def unpacked_profile(run: Run) -> Iterator[LoadedProfile]:
             safe = Path(name).name
             if safe not in ("", ".", ".."):
                 (Path(folder) / safe).write_bytes(attached.data)
-        yield _as_run(load_profile(str(Path(folder) / PROFILE_ATTACHMENT)), run)
-
-
-def _as_run(loaded: LoadedProfile, run: Run) -> LoadedProfile:
-    """The profile with what the command line had put in its place (the log says so)."""
-    try:
-        period_us = int(run.metadata.get("run", {}).get("period_ns", "0")) // NS_PER_US
-    except ValueError:
-        period_us = 0
-    if period_us in (0, loaded.profile.bench.period_us):
-        return loaded
-    bench = structs.replace(loaded.profile.bench, period_us=period_us)
-    return structs.replace(loaded, profile=structs.replace(loaded.profile, bench=bench))
+        yield load_profile(str(Path(folder) / PROFILE_ATTACHMENT))
 
 
 def engine_of(run: Run, override: str | None = None) -> int:

@@ -13,18 +13,20 @@ TEN_LINES = """
 import pytest
 
 def test_lifts(hil_bench):
-    bench = hil_bench(options=["--engine", "reference"])
+    # a slow period: the lab has one core, and the test needs some of it
+    bench = hil_bench(options=["--engine", "reference", "--period-us", "5000", "--priority", "0"])
     command = bench.send_every(0.005, "VALVE_COMMAND_1", control="Active", valve_setpoint=50)
-    bench.wait_until(lambda b: b.signal("MOTION_1", "rod_velocity_mmps") > 5)
+    bench.wait_until(lambda b: b.signal("MOTION_1", "rod_velocity_mmps") > 5, timeout_s=60)
     command.update(valve_setpoint=0)
-    bench.wait_until(lambda b: abs(b.signal("MOTION_1", "rod_velocity_mmps")) < 0.5)
+    bench.wait_until(lambda b: abs(b.signal("MOTION_1", "rod_velocity_mmps")) < 0.5, timeout_s=60)
     bench.holds_for(lambda b: b.signal("BENCH_STATUS_1", "bench_state") == "active", 0.2)
     with pytest.raises(AssertionError, match="not within 0.1 s; newest signals: .*MOTION_1.*rod_position_mm"):
         bench.wait_until(lambda b: b.signal("MOTION_1", "rod_position_mm") > 9999, timeout_s=0.1)
     outcome = bench.stop()
     log = outcome.log()
     assert log.state["luffing"]["rod_position_m"].max() > 0.600
-    assert len(log.can_rx) > 10 and log.can_rx["status"].max() == 0
+    taken = log.can_rx[log.can_rx["can_id"] == 0x201]
+    assert len(taken) > 5 and taken["status"].max() == 0
     assert outcome.summary["exit_reason"] == "stopped by signal"
 
 def test_refused(hil_bench):
