@@ -92,6 +92,7 @@ def solve_line(prm, chamber_pa, cbv_si, supply_si, return_si, guess_pa):
     low = min(tank, chamber_pa)
     high = max(prm["supply_pressure_pa"] if supply_si > 0.0 else tank, chamber_pa)
     line = guess_pa if low <= guess_pa <= high else 0.5 * (low + high)
+    before = high - low
     for iteration in range(ITERATION_LIMIT):
         into, into_slope = valve_side_flow(prm, line, supply_si, return_si)
         out, out_slope = chamber_side_flow(prm, line, chamber_pa, cbv_si)
@@ -105,10 +106,12 @@ def solve_line(prm, chamber_pa, cbv_si, supply_si, return_si, guess_pa):
         else:
             high = line
         following = line + step
-        if not (low < following < high):
+        # around an odd root Newton can swing from side to side for ever: steps must halve, or the bracket is halved
+        if not (low < following < high) or abs(step) > 0.5 * before:
             following = 0.5 * (low + high)
             if following == low or following == high:
                 return following, out, iteration + 1, 0.0  # nothing left between the two
+        before = abs(following - line)
         line = following
     return line, chamber_side_flow(prm, line, chamber_pa, cbv_si)[0], ITERATION_LIMIT + 1, 0.0
 
