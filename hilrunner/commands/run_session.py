@@ -38,7 +38,10 @@ def execute(args: argparse.Namespace, begin_mono_ns: int) -> int:
     _restore_signals(stopped)
     result = session.finish()
     code = exit_code(result)
-    summary = summarise_run(result, code)
+    broken: list[str] = []
+    if code == exit_codes.PASSED:
+        code, broken = judged(result)
+    summary = summarise_run(result, code) | {"broken_limits": broken}
     if args.json:
         print(json.dumps(summary))
     else:
@@ -57,6 +60,22 @@ def exit_code(result: RunResult) -> int:
     if result.exit_reason == status.EXIT_NOT_FINITE or result.recorder.get("error"):
         return exit_codes.VERDICT_FAILED
     return exit_codes.PASSED
+
+
+def judged(result: RunResult) -> tuple[int, list[str]]:
+    """Exit code and broken limits by the log just written; passed where the profile has no limits or no log was kept."""
+    if not result.armed.loaded.profile.limits or result.log_path is None:
+        return exit_codes.PASSED, []
+    from hilrunner.evidence.report import build_report
+    from hilrunner.evidence.verdict import PASSED
+
+    verdict = build_report(result.log_path).verdict
+    broken = [
+        f"{one.key}: {one.value:g} against {one.limit:g} ({one.outcome}; {one.detail})"
+        for one in verdict.judgements
+        if one.outcome != PASSED
+    ]
+    return verdict.exit_code, broken
 
 
 def _with_period(loaded: LoadedProfile, period_us: int | None) -> LoadedProfile:

@@ -103,6 +103,8 @@ def print_summary(summary: dict) -> None:
     if summary["flags"]:
         print(f"  seen: {', '.join(summary['flags'])}")
     _print_recorder(summary)
+    for text in summary.get("broken_limits", ()):
+        print(f"  limit broken: {text}")
     print(f"  exit code {summary['exit_code']}")
 
 

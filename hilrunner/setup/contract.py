@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from hilrunner.base.errors import ProfileError
+from hilrunner.base.errors import DbcError, ProfileError
 from hilrunner.realtime.decode import CommandTable
 from hilrunner.realtime.encode import MeasurementTable
 from hilrunner.setup import resources
@@ -12,8 +12,13 @@ from hilrunner.setup.signals import AxisMapping, default_mapping, load_signals
 
 
 def dbc_path(loaded: LoadedProfile) -> Path:
-    """The DBC a profile names: beside it, or the shipped one."""
-    return find_file(loaded.path, loaded.profile.can.dbc, resources.firmware_interface_folder())
+    """The DBC a profile names: beside it, or the shipped one; DbcError where there is none."""
+    path = find_file(loaded.path, loaded.profile.can.dbc, resources.firmware_interface_folder())
+    if not path.is_file():
+        raise DbcError(
+            f"{loaded.path}: can.dbc", f"no such file: {loaded.profile.can.dbc}", remedy="name a DBC beside the profile"
+        )
+    return path
 
 
 def signal_tables(loaded: LoadedProfile) -> tuple[CommandTable, MeasurementTable]:
