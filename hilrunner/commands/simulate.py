@@ -1,0 +1,45 @@
+"""The plant alone: a valve schedule through the same compiled cycle as the loop, without CAN and without a wall clock."""
+
+import argparse
+from pathlib import Path
+
+ENGINES = ("surrogate", "onnx", "reference")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Options of `hilrunner simulate`."""
+    parser.add_argument("--profile", default="amc-lift", metavar="NAME|FILE", help="default: %(default)s")
+    parser.add_argument("--schedule", metavar="NAME|FILE", help="valve schedule (default: the profile's)")
+    parser.add_argument("--duration", type=float, metavar="S", help="default: as long as the schedule")
+    parser.add_argument("--engine", choices=ENGINES, default="surrogate", help="default: %(default)s")
+    parser.add_argument("--compare", choices=ENGINES, metavar="ENGINE", help="a second engine; differences are printed")
+    parser.add_argument("--out", type=Path, metavar="RUN.mcap", help="write a log like that of a run")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="pressures, position and command as .png or .svg")
+    parser.add_argument("--json", action="store_true", help="figures as one JSON object on stdout")
+
+
+def main(args: argparse.Namespace) -> int:
+    """Simulate, compare, write what was asked for; 1 when a state left the finite numbers."""
+    import json
+
+    from hilrunner.base import exit_codes, status
+    from hilrunner.commands import simulate_output as output
+    from hilrunner.setup.profile import load_profile
+    from hilrunner.setup.simulate import simulate
+
+    loaded = load_profile(args.profile)
+    schedule = args.schedule or loaded.profile.stimulus.schedule
+    output.check_targets(args.out, args.plot)
+    first = simulate(loaded, status.ENGINE_NAMES.index(args.engine), schedule, args.duration, output.progress("first"))
+    second = None
+    if args.compare:
+        second = simulate(
+            loaded, status.ENGINE_NAMES.index(args.compare), schedule, args.duration, output.progress("second")
+        )
+    figures = output.figures(loaded, args.engine, schedule, first, args.compare, second)
+    if args.out:
+        output.write_log(args.out, loaded, first)
+    if args.plot:
+        output.write_plot(args.plot, loaded, first, second, args.engine, args.compare)
+    print(json.dumps(figures) if args.json else output.text(figures))
+    return exit_codes.PASSED if figures["finite"] else exit_codes.VERDICT_FAILED
