@@ -51,6 +51,17 @@ class RawBus:
         return frame[8 : 8 + frame[4]]
 
 
+def wait_for_control(control: int, limit_s: float = 60.0) -> None:
+    """Until the firmware on the bus sends this control word (high nibble of byte 1 of VALVE_COMMAND)."""
+    end_s = time.monotonic() + limit_s
+    with RawBus(COMMAND_ID) as bus:
+        while time.monotonic() < end_s:
+            data = bus.receive(0.5)
+            if data and data[1] >> 4 == control:
+                return
+    raise AssertionError(f"the firmware never sent control word {control}")
+
+
 class BenchProcess:
     """`hilrunner --can vcan0 --json` with a log in a folder."""
 

@@ -12,6 +12,8 @@ from hilrunner.setup.profile import load_profile
 from tests.tools import contract, vcan_bench
 
 PERIOD_MS = 1.0
+# the firmware runs slower than the bench here: two programs at 1 kHz leave the lab's one core little room (the demo shows them)
+FIRMWARE = ("--ramp-s", "0.5", "--period-us", "4000")
 
 
 def complete(run):
@@ -29,10 +31,11 @@ def complete(run):
 def closed_loop(firmware_built, tmp_path_factory):
     """One healthy run, looked at by several tests: (exit code, summary, log, firmware's report, candump lines)."""
     folder = tmp_path_factory.mktemp("closed_loop")
-    bench = vcan_bench.BenchProcess(folder, "--duration", "8")
-    firmware = vcan_bench.Firmware("--ramp-s", "0.5")
-    time.sleep(5.0)
-    dump = subprocess.run(["candump", "-L", "-n", "30", "vcan0"], capture_output=True, text=True, timeout=20).stdout
+    bench = vcan_bench.BenchProcess(folder, "--duration", "9")
+    firmware = vcan_bench.Firmware(*FIRMWARE)
+    vcan_bench.wait_for_control(status.CONTROL_ACTIVE)
+    time.sleep(2.0)
+    dump = subprocess.run(["candump", "-L", "-n", "60", "vcan0"], capture_output=True, text=True, timeout=20).stdout
     code = bench.end()
     return code, bench.summary(), bench.run(), firmware.end(), dump
 
@@ -41,7 +44,7 @@ def test_the_run_ends_as_planned(closed_loop):
     code, summary, run, _, _ = closed_loop
     assert code == exit_codes.PASSED, summary
     assert summary["exit_reason"] == run.metadata["run"]["exit_reason"] == "duration reached"
-    assert summary["tick_count"] + summary["skipped_count"] >= 7999
+    assert summary["tick_count"] + summary["skipped_count"] >= 8999
 
 
 def test_the_log_is_complete(closed_loop):
@@ -55,7 +58,7 @@ def test_the_log_is_complete(closed_loop):
 def test_the_rod_follows_the_firmware(closed_loop):
     """Judged by the firmware, from the measurements on the bus, and seen in the log."""
     _, _, run, report, _ = closed_loop
-    assert report["tracked_periods"] > 1000
+    assert report["tracked_periods"] > 500
     assert report["reference_mm_rms"] > 1.0
     assert report["tracking_error_mm_rms"] < 0.05 * report["reference_mm_rms"]
     (axis,) = run.axis_names
@@ -84,13 +87,17 @@ def _path():
 
 def test_a_lost_firmware_ends_in_latched_fail_safe(bench, firmware):
     rules = load_profile("amc-lift").profile.axis[0].command
-    running = bench("--duration", "9")
-    dying = firmware("--ramp-s", "0.5")
-    time.sleep(3.0)
+    running = bench()
+    dying = firmware(*FIRMWARE)
+    vcan_bench.wait_for_control(status.CONTROL_ACTIVE)
+    time.sleep(1.0)
     dying.kill()
-    time.sleep(1.5)
-    back = firmware("--ramp-s", "0.5")
-    assert running.end() == exit_codes.PASSED
+    time.sleep(1.0)
+    back = firmware(*FIRMWARE)
+    vcan_bench.wait_for_control(status.CONTROL_RESET)
+    vcan_bench.wait_for_control(status.CONTROL_ACTIVE)
+    time.sleep(1.0)
+    assert running.end(signal.SIGINT) == exit_codes.PASSED
     assert back.end()["fail_safes_seen"] >= 1
     run = running.run()
     complete(run)
@@ -112,9 +119,10 @@ def test_a_lost_firmware_ends_in_latched_fail_safe(bench, firmware):
 
 def test_a_killed_runner_leaves_a_complete_log(bench, firmware):
     running = bench()
-    moving = firmware("--ramp-s", "0.5")
+    moving = firmware(*FIRMWARE)
+    vcan_bench.wait_for_control(status.CONTROL_ACTIVE)
     with vcan_bench.RawBus(vcan_bench.STATUS_ID) as bus:
-        time.sleep(3.0)
+        time.sleep(1.0)
         running.signal(signal.SIGKILL)
         last = b""
         while (data := bus.receive(0.2)) is not None:
