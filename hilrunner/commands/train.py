@@ -71,7 +71,7 @@ def main(args: argparse.Namespace) -> int:
     folder.mkdir(parents=True, exist_ok=True)
     started = time.monotonic()
     outcomes = train_recipe(recipe.problems, plan, folder, args.resume, _progress_printer(args.json))
-    command = "hilrunner " + " ".join(sys.argv[1:]) if sys.argv[1:2] == ["train"] else "hilrunner train"
+    command = _command(args, plan)
     profile = {
         "name": loaded.profile.name,
         "axis": axis.name,
@@ -87,6 +87,16 @@ def main(args: argparse.Namespace) -> int:
     else:
         _print_outcomes(path, sheet, time.monotonic() - started, rivals)
     return 0
+
+
+def _command(args: argparse.Namespace, plan) -> str:
+    """What makes the same networks again."""
+    stages = ",".join(f"{stage.points}:{stage.iterations}" for stage in plan.stages)
+    words = ["hilrunner train", f"--profile {args.profile}", f"--recipe {args.recipe}", f"--layers {args.layers}"]
+    words += [f"--axis {args.axis}"] if args.axis else []
+    words += [f"--points {plan.train_points}", f"--validation-points {plan.validation_points}"]
+    words += [f"--test-points {plan.test_points}", f"--stages {stages}", f"--seed {plan.seed}"]
+    return " ".join(words)
 
 
 def _axis(loaded, name: str | None):

@@ -6,6 +6,7 @@ stands in where the C function cannot be had. Inputs and outputs lie in buffers 
 """
 
 import ctypes
+import math
 
 import numpy as np
 from llvmlite import ir
@@ -23,6 +24,23 @@ FOREIGN_INPUT = 4  # address of the input buffer
 FOREIGN_OUTPUT = 5
 FOREIGN_SINGLE = 6  # 1: the buffers are float32, 0: float64
 FOREIGN_SIZE = 8
+LAYOUT_STRIDE = 8
+
+
+def layout(input_order, input_factors, output_order, output_factors) -> np.ndarray:
+    """How a file's columns and units differ from the reduced model's, float64[4 * LAYOUT_STRIDE].
+
+    Args:
+        input_order: for each of the reduced model's inputs the file's column; input_factors: the file's units in SI.
+        output_order, output_factors: the same of the outputs.
+    """
+    words = np.zeros((4, LAYOUT_STRIDE))
+    for place, column in enumerate(input_order):
+        words[0, column] = place  # a column of the file takes this input
+    words[1, : len(input_factors)] = 1.0 / np.asarray(input_factors, float)
+    words[2, : len(output_order)] = output_order  # an output takes this column of the file
+    words[3, : len(output_order)] = np.asarray(output_factors, float)[list(output_order)]
+    return words.ravel()
 
 
 def _call_interpreted(function, session, options, binding):
@@ -82,41 +100,42 @@ else:
 
 
 @compiled.hot
-def _copy_in(words, at, x, x_at, count):
+def _copy_in(words, at, layout_at, x, x_at, count):
     address = int(words[at + FOREIGN_INPUT])
     if words[at + FOREIGN_SINGLE] == 1.0:
         narrow = _singles(address, count)
         for i in range(count):
-            narrow[i] = x[x_at + i]
+            narrow[i] = x[x_at + int(words[layout_at + i])] * words[layout_at + LAYOUT_STRIDE + i]
     else:
         wide = _doubles(address, count)
         for i in range(count):
-            wide[i] = x[x_at + i]
+            wide[i] = x[x_at + int(words[layout_at + i])] * words[layout_at + LAYOUT_STRIDE + i]
 
 
 @compiled.hot
-def _copy_out(words, at, y, y_at, count):
+def _copy_out(words, at, layout_at, y, y_at, count):
     address = int(words[at + FOREIGN_OUTPUT])
+    source = layout_at + 2 * LAYOUT_STRIDE
     if words[at + FOREIGN_SINGLE] == 1.0:
         narrow = _singles(address, count)
         for i in range(count):
-            y[y_at + i] = narrow[i]
+            y[y_at + i] = narrow[int(words[source + i])] * words[source + LAYOUT_STRIDE + i]
     else:
         wide = _doubles(address, count)
         for i in range(count):
-            y[y_at + i] = wide[i]
+            y[y_at + i] = wide[int(words[source + i])] * words[source + LAYOUT_STRIDE + i]
 
 
 @compiled.hot
-def forward_foreign(words, at, x, x_at, y, y_at, inputs, outputs):
+def forward_foreign(words, at, layout_at, x, x_at, y, y_at, inputs, outputs):
     """x[x_at : x_at + inputs] -> y[y_at : y_at + outputs] through onnxruntime; 0, or 1 with NaN outputs if it failed.
 
-    words[at : at + FOREIGN_SIZE]: addresses; a function address of 0 counts as failed.
+    words[at : at + FOREIGN_SIZE]: addresses; a function address of 0 counts as failed. words[layout_at : ]: see `layout`.
     """
     function = int(words[at + FOREIGN_FUNCTION])
     status = 1
     if function != 0:
-        _copy_in(words, at, x, x_at, inputs)
+        _copy_in(words, at, layout_at, x, x_at, inputs)
         status = _call(
             function,
             int(words[at + FOREIGN_SESSION]),
@@ -125,7 +144,7 @@ def forward_foreign(words, at, x, x_at, y, y_at, inputs, outputs):
         )
     if status != 0:
         for i in range(outputs):
-            y[y_at + i] = float("nan")
+            y[y_at + i] = math.nan
         return 1
-    _copy_out(words, at, y, y_at, outputs)
+    _copy_out(words, at, layout_at, y, y_at, outputs)
     return 0

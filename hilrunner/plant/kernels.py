@@ -58,7 +58,7 @@ def _foreign(network, x, y):
     words = carray(network, (_EVERYTHING,))
     inputs, outputs = int(words[HEAD_INPUTS]), int(words[HEAD_OUTPUTS])
     x_values, y_values = carray(x, (_EVERYTHING,)), carray(y, (_EVERYTHING,))
-    return foreign_call.forward_foreign(words, HEAD_FOREIGN, x_values, 0, y_values, 0, inputs, outputs)
+    return foreign_call.forward_foreign(words, HEAD_FOREIGN, HEAD_SIZE, x_values, 0, y_values, 0, inputs, outputs)
 
 
 _SOURCES = {KERNEL_VECTOR: _vector, KERNEL_GENERIC: _generic, KERNEL_FOREIGN: _foreign}
@@ -109,7 +109,9 @@ def _call_interpreted(words, start, work, x_at, y_at, address_at):
             words, start + HEAD_SIZE, start + HEAD_ROWS, start + HEAD_ACTIVATION, int(words[start + HEAD_LAYERS]),
             work, x_at, work, y_at,
         )  # fmt: skip
-    return foreign_call.forward_foreign(words, start + HEAD_FOREIGN, work, x_at, work, y_at, inputs, outputs)
+    return foreign_call.forward_foreign(
+        words, start + HEAD_FOREIGN, start + HEAD_SIZE, work, x_at, work, y_at, inputs, outputs
+    )
 
 
 call_kernel = _call_interpreted if config.DISABLE_JIT else _call_compiled

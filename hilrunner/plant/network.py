@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hilrunner.base import compiled
-from hilrunner.plant import generic_kernel, vector_kernel
+from hilrunner.plant import foreign_call, generic_kernel, vector_kernel
 from hilrunner.plant.foreign_call import FOREIGN_SIZE
 from hilrunner.plant.generic_kernel import ACTIVATION_LINEAR, ACTIVATION_TANH
 from hilrunner.plant.head import (
@@ -95,6 +95,7 @@ class Mlp:
     input_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
     foreign: np.ndarray | None = None
+    foreign_layout: np.ndarray | None = None  # foreign_call.layout
     form: int = FORM_SHARE
 
     @property
@@ -192,7 +193,9 @@ def _pack(network: Mlp) -> np.ndarray:
     if network.kernel == KERNEL_VECTOR:
         return vector_kernel.pack(network.weights, network.biases, *scaling)
     if network.kernel == KERNEL_FOREIGN:
-        return np.zeros(0)
+        straight = (range(network.input_count), np.ones(network.input_count))
+        plain = foreign_call.layout(*straight, range(network.output_count), np.ones(network.output_count))
+        return plain if network.foreign_layout is None else network.foreign_layout
     return generic_kernel.pack(network.weights, network.biases, *scaling)
 
 

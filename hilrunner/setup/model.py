@@ -13,8 +13,9 @@ from pathlib import Path
 import numpy as np
 
 from hilrunner.base.errors import ModelError
+from hilrunner.plant.foreign_call import layout
 from hilrunner.plant.head import KERNEL_NAMES
-from hilrunner.plant.network import RECIPE_NAMES, Mlp, SurrogateNetworks, assemble_bank, forward_many
+from hilrunner.plant.network import RECIPE_NAMES, ROLES, Mlp, SurrogateNetworks, assemble_bank, forward_many
 from hilrunner.setup import model_text
 from hilrunner.setup.model_graph import Chain, Graph
 
@@ -71,7 +72,7 @@ def load_model(
     place = str(path)
     data = _read(path)
     digest = hashlib.sha256(data).hexdigest()
-    model = _parse(place, data, path)
+    model, data = _parse(place, data, path)
     sheet = _data_sheet(path)
     vouched = sheet.get("sha256") == digest
     if "sha256" in sheet and not vouched:
@@ -133,16 +134,18 @@ def _parse(place: str, data: bytes, path: Path):
     versions = [entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")]
     if versions and max(versions) > OPSET_MAX:
         raise ModelError(place, f"opset {max(versions)}", f"at most {OPSET_MAX}", "export with opset 20 or lower")
-    _inline_external(place, model, path)
-    return model
+    if _inline_external(place, model, path):
+        data = model.SerializeToString()  # onnxruntime must not look for files again
+    return model, data
 
 
-def _inline_external(place: str, model, path: Path) -> None:
+def _inline_external(place: str, model, path: Path) -> bool:
     """Weights stored beside the file are read if they lie in its folder, and refused anywhere else."""
     from onnx import TensorProto
     from onnx.external_data_helper import load_external_data_for_tensor
 
     folder = path.resolve().parent
+    found = False
     for tensor in _tensors(model):
         if tensor.data_location != TensorProto.EXTERNAL:
             continue
@@ -169,6 +172,8 @@ def _inline_external(place: str, model, path: Path) -> None:
             raise ModelError(place, f"external data of '{tensor.name}' cannot be read: {error}") from error
         tensor.data_location = TensorProto.DEFAULT
         del tensor.external_data[:]
+        found = True
+    return found
 
 
 def _tensors(model):
@@ -227,7 +232,7 @@ def _networks(place: str, model, text: model_text.ModelText, in_loop: bool) -> t
         if output not in graph.outputs:
             raise ModelError(place, f"has no output '{output}'", ", ".join(graph.outputs))
         if in_loop:
-            networks[network.role] = _opaque(network)
+            networks[network.role] = _opaque(network, text)
             lines.append(f"  {network.role}: run by onnxruntime, {len(network.inputs)} -> {len(network.outputs)}")
             continue
         chain = graph.chain(output)
@@ -301,12 +306,16 @@ def _in_si(place: str, chain: Chain, network: model_text.NetworkText, text: mode
     )
 
 
-def _opaque(network: model_text.NetworkText) -> Mlp:
+def _opaque(network: model_text.NetworkText, text: model_text.ModelText) -> Mlp:
     """A network known by its ends only, for onnxruntime."""
-    order = list(range(len(network.inputs)))
-    low, high = _ranges(network, order)
-    inputs, outputs = np.ones(len(network.inputs)), np.ones(len(network.outputs))
-    return Mlp((), (), (), 0.0 * inputs, inputs, outputs, 0.0 * outputs, low, high)
+    inputs, outputs = _order(network, text)
+    low, high = _ranges(network, inputs)
+    ones_in, ones_out = np.ones(len(inputs)), np.ones(len(outputs))
+    return Mlp(
+        (), (), (), 0.0 * ones_in, ones_in, ones_out, 0.0 * ones_out, low, high,
+        foreign_layout=layout(inputs, _factors(network.inputs), outputs, _factors(network.outputs)),
+        form=model_text.input_form(text.circuit, text.recipe, network)[0],
+    )  # fmt: skip
 
 
 def _check_finite(place: str, role: str, mlp: Mlp) -> None:
@@ -327,8 +336,6 @@ def _compare(place: str, data: bytes, networks: dict[str, Mlp], text, golden: bo
     bank = assemble_bank([SurrogateNetworks(1, networks, text.circuit)])
     session = None if golden else _session(place, data)
     worst = 0.0
-    from hilrunner.plant.network import ROLES
-
     for network in text.networks:
         mlp = networks[network.role]
         if golden:

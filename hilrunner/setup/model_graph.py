@@ -36,6 +36,9 @@ _ACTIVATIONS = {
 _PASSED = {"Identity", "Dropout", "Cast", "Flatten", "Reshape", "Squeeze"}  # change no number of one row
 
 
+_KNOWN = {*_ACTIVATIONS, *_PASSED, "MatMul", "Gemm", "Add", "Sub", "Mul", "Div", "Scaler"}
+
+
 @dataclass
 class Chain:
     """One network as it is read, front to back."""
@@ -82,8 +85,12 @@ class Graph:
 
     def refuse(self, index: int, why: str) -> ModelError:
         """The error for a node that cannot be ported."""
+        return self.error(self.where(index), why)
+
+    def error(self, where: str, why: str) -> ModelError:
+        """The error for nodes that cannot be ported."""
         return ModelError(
-            f"{self.place}: {self.where(index)}",
+            f"{self.place}: {where}",
             why,
             "MatMul, Gemm, Add, Sub, Mul, Div, Scaler and " + ", ".join(_ACTIVATIONS),
             "run it with --engine onnx, or export the network without this node",
@@ -127,6 +134,10 @@ class Graph:
         """Read the network that ends in a graph output."""
         source, steps = self.path(output)
         chain = Chain(source, output, input_count=self.input_widths.get(source) or 0)
+        foreign = [index for index in steps if self.nodes[index].op_type not in _KNOWN]
+        if foreign:
+            named = "; ".join(self.where(index) for index in foreign[:8])
+            raise self.error(named, "no part of a multilayer perceptron that can be ported")
         for index in steps:
             self._read(chain, index)
         return _finished(self.place, chain)
@@ -145,12 +156,10 @@ class Graph:
             _dense(self, chain, index)
         elif kind in ("Add", "Sub", "Mul", "Div"):
             _elementwise(self, chain, index)
-        elif kind == "Scaler":
+        else:  # Scaler (ai.onnx.ml)
             values = {attribute.name: np.array(attribute.floats, float) for attribute in node.attribute}
             _scale(chain, np.ones(1), -values.get("offset", np.zeros(1)))
             _scale(chain, values.get("scale", np.ones(1)), np.zeros(1))
-        else:
-            raise self.refuse(index, "is no part of a multilayer perceptron that can be ported")
 
     def _activate(self, chain: Chain, index: int, kind: int) -> None:
         if not chain.weights or chain.activations and len(chain.activations) == len(chain.weights):

@@ -38,6 +38,7 @@ class Progress:
     best_validation: float = math.inf
     failures: int = 0
     seconds: float = 0.0
+    cpu_s: float = 0.0  # of the training thread: what the seconds would be on an idle machine
     reason: str = ""
     curves: list[dict] = field(default_factory=list)
 
@@ -96,6 +97,7 @@ def train(
     report: called after every iteration (progress line, checkpoint).
     """
     started = time.monotonic() - progress.seconds
+    cpu_started = time.thread_time() - progress.cpu_s
     target_count = data.target_count
     while not progress.reason:
         square, slope, error = normal_equations(shape, progress.parameters, data)
@@ -105,6 +107,7 @@ def train(
         accepted = _step(shape, data, progress, square, slope, error, weights)
         progress.iteration += 1
         progress.seconds = time.monotonic() - started
+        progress.cpu_s = time.thread_time() - cpu_started
         if accepted and progress.iteration >= limits.evidence_from:
             _update_evidence(shape, progress, square, accepted, target_count)
         _validate(shape, validation, progress, accepted or error, target_count)

@@ -12,7 +12,7 @@ from hilrunner.base.errors import UsageError
 from hilrunner.training.bayesian import Progress
 
 FILE = "checkpoint.npz"
-_SCALARS = ("alpha", "beta", "gamma", "damping", "iteration", "best_validation", "failures", "seconds")
+_SCALARS = ("alpha", "beta", "gamma", "damping", "iteration", "best_validation", "failures", "seconds", "cpu_s")
 
 
 def _identity(plan, problem) -> str:

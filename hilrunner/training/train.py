@@ -78,7 +78,6 @@ def train_problem(problem: Problem, plan: Plan, folder: Path, resume: bool, repo
     validation = Data(scaling, samples.load("validation", IN_MEMORY_ROWS))
     progress, first = checkpoint.read(place, plan, problem) if resume else (None, 0)
     progress = progress or Progress(shape.start(plan.seed, plan.device))
-    cpu_before = time.process_time()
     for index, stage in enumerate(plan.stages):
         if index < first:
             continue
@@ -87,7 +86,6 @@ def train_problem(problem: Problem, plan: Plan, folder: Path, resume: bool, repo
     network = _network(problem, shape, progress, scaling)
     facts = _facts(problem, plan, samples, shape, progress, network, scaling)
     facts["sampling_s"] = sampled_s
-    facts["cpu_s"] = time.process_time() - cpu_before
     return Outcome(network, facts, progress.curves)
 
 
@@ -185,6 +183,7 @@ def _facts(problem, plan, samples, shape, progress, network: Trained, scaling) -
         "iterations": progress.iteration,
         "stopped_by": progress.reason,
         "training_s": progress.seconds,
+        "training_cpu_s": progress.cpu_s,
         "train_points": plan.train_points,
         "validation_points": plan.validation_points,
         "unsolved_points": samples.unsolved(),

@@ -1,0 +1,319 @@
+"""Every way a model file can be wrong ends in one clear error that names the place, and `hilrunner check` exits with 2."""
+
+import json
+import shutil
+
+import numpy as np
+import onnx
+import onnx_models
+import pytest
+from onnx import TensorProto, helper, numpy_helper
+
+from hilrunner.base.errors import ModelError
+from hilrunner.plant.parameters import make_parameters
+from hilrunner.setup import resources
+from hilrunner.setup.model import FILE_SIZE_MAX_BYTES, load_model
+
+
+def shipped(tmp_path, name="paper-flow.onnx"):
+    path = tmp_path / name
+    shutil.copy(resources.models_folder() / name, path)
+    return path
+
+
+def refuse(path, *words, circuit="paper", parameters=None, **options):
+    with pytest.raises(ModelError) as caught:
+        load_model(path, circuit, parameters, **options)
+    text = str(caught.value)
+    assert path.name in text
+    for word in words:
+        assert word in text, text
+    return text
+
+
+def changed(tmp_path, change, name="paper-flow.onnx"):
+    path = shipped(tmp_path, name)
+    model = onnx.load(path)
+    change(model)
+    onnx.save(model, path)
+    return path
+
+
+def test_a_file_that_is_not_there(tmp_path):
+    refuse(tmp_path / "none.onnx", "cannot be read", "No such file")
+
+
+def test_an_empty_file(tmp_path):
+    path = tmp_path / "empty.onnx"
+    path.touch()
+    refuse(path, "is empty")
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3, 0.7, 0.99])
+def test_a_truncated_file(tmp_path, share):
+    path = shipped(tmp_path)
+    data = path.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    text = refuse(path)
+    assert "damaged" in text or "cut off" in text
+
+
+def test_a_file_of_another_kind(tmp_path):
+    path = tmp_path / "text.onnx"
+    path.write_text("this is no network\n" * 40)
+    refuse(path, "ONNX")
+
+
+def test_a_gigabyte_is_refused_before_it_is_read(tmp_path):
+    path = tmp_path / "huge.onnx"
+    with open(path, "wb") as file:
+        file.truncate(1 << 30)  # sparse: takes no room
+    refuse(path, "1024 MiB", f"{FILE_SIZE_MAX_BYTES >> 20} MiB")
+
+
+def test_weights_that_are_no_numbers(tmp_path):
+    def poison(model):
+        for tensor in model.graph.initializer:
+            if tensor.name.endswith("weight_1"):
+                values = numpy_helper.to_array(tensor).copy()
+                values[2, 3] = np.nan
+                values[0, 0] = np.inf
+                tensor.CopyFrom(numpy_helper.from_array(values, tensor.name))
+
+    refuse(changed(tmp_path, poison), "network 'flow'", "2 of 250 numbers", "weight of layer 1", "not finite")
+
+
+def test_a_matrix_of_the_wrong_width(tmp_path):
+    def widen(model):
+        for tensor in model.graph.initializer:
+            if tensor.name.endswith("weight_1"):
+                tensor.CopyFrom(numpy_helper.from_array(np.zeros((10, 26)), tensor.name))
+
+    refuse(changed(tmp_path, widen), "Gemm", "takes 26 columns, gets 25")
+
+
+def test_more_numbers_than_the_metadata_names(tmp_path):
+    path = tmp_path / "wide.onnx"
+    layers = onnx_models.weights((4, 5, 2))
+    constants = {f"k{i}": kernel for i, (kernel, _) in enumerate(layers)}
+    nodes = [
+        helper.make_node("MatMul", ["x", "k0"], ["a"]),
+        helper.make_node("Tanh", ["a"], ["b"]),
+        helper.make_node("MatMul", ["b", "k1"], ["y"]),
+    ]
+    onnx_models.save(path, nodes, constants, inputs=4)
+    refuse(path, "takes 4 and gives 2 numbers", "names 3 and 2")
+
+
+def test_no_metadata_at_all(tmp_path):
+    path = changed(tmp_path, lambda model: model.ClearField("metadata_props"))
+    refuse(path, "hil.circuit", "hil.networks", path.name + ".json")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "word"),
+    [
+        ("hil.circuit", "crane", "unknown"),
+        ("hil.recipe", "soup", "unknown"),
+        ("hil.format", "9", "format 9"),
+        ("hil.networks", "{not json", "not JSON"),
+        ("hil.networks", "{}", "JSON dict"),
+        ("hil.networks", "[]", "0 networks for role 'flow'"),
+        ("hil.networks", '[{"role": "cook"}]', "role 'cook'"),
+        ("hil.networks", '[{"role": "flow", "inputs": [], "outputs": []}]', "inputs"),
+        ("hil.parameters", "[1]", "JSON list"),
+    ],
+)
+def test_metadata_that_makes_no_sense(tmp_path, key, value, word):
+    def spoil(model):
+        for entry in model.metadata_props:
+            if entry.key == key:
+                entry.value = value
+
+    refuse(changed(tmp_path, spoil), word)
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "word"),
+    [("unit", "psi", "'psi'"), ("name", "colour_pa", "(colour"), ("low", 1e9, "training range"), ("low", "x", "'x'")],
+)
+def test_a_quantity_that_makes_no_sense(tmp_path, field, value, word):
+    def spoil(model):
+        for entry in model.metadata_props:
+            if entry.key == "hil.networks":
+                networks = json.loads(entry.value)
+                networks[0]["inputs"][0][field] = value
+                entry.value = json.dumps(networks)
+
+    refuse(changed(tmp_path, spoil), word)
+
+
+def with_external_data(tmp_path, location, size=None):
+    folder = tmp_path / "model"
+    folder.mkdir()
+    path = shipped(folder)
+    model = onnx.load(path)
+    for tensor in model.graph.initializer:
+        if tensor.name.endswith("weight_0"):
+            data = tensor.raw_data
+            tensor.ClearField("raw_data")
+            tensor.data_location = TensorProto.EXTERNAL
+            for key, value in (("location", location), ("offset", "0"), ("length", str(len(data)))):
+                entry = tensor.external_data.add()
+                entry.key, entry.value = key, value
+            target = folder / location
+            if target.resolve().is_relative_to(tmp_path) and size is None:
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(data)
+            elif size is not None:
+                with open(target, "wb") as file:
+                    file.truncate(size)
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def test_external_data_in_the_same_folder_is_read(tmp_path):
+    path = with_external_data(tmp_path, "weights.bin")
+    inside, _ = load_model(path, "paper", in_loop=False)
+    whole, _ = load_model(resources.models_folder() / "paper-flow.onnx", "paper")
+    np.testing.assert_array_equal(inside.networks["flow"].weights[0], whole.networks["flow"].weights[0])
+
+
+@pytest.mark.parametrize("location", ["../weights.bin", "/etc/hostname", "a/../../weights.bin", ""])
+def test_external_data_outside_the_folder_is_refused(tmp_path, location):
+    refuse(
+        with_external_data(tmp_path, location or "weights.bin") if location else _no_location(tmp_path),
+        "outside its folder",
+    )
+
+
+def _no_location(tmp_path):
+    path = with_external_data(tmp_path, "weights.bin")
+    model = onnx.ModelProto.FromString(path.read_bytes())
+    for tensor in model.graph.initializer:
+        if tensor.data_location == TensorProto.EXTERNAL:
+            del tensor.external_data[0]
+    path.write_bytes(model.SerializeToString())
+    return path
+
+
+def test_external_data_that_is_missing_or_huge(tmp_path):
+    path = with_external_data(tmp_path, "weights.bin")
+    (path.parent / "weights.bin").unlink()
+    refuse(path, "weights.bin", "not there")
+    (tmp_path / "second").mkdir()
+    refuse(with_external_data(tmp_path / "second", "weights.bin", size=1 << 30), "1024 MiB")
+
+
+def test_external_data_shorter_than_it_says(tmp_path):
+    path = with_external_data(tmp_path, "weights.bin")
+    (path.parent / "weights.bin").write_bytes(b"1234")
+    refuse(path, "weight_0")
+
+
+def test_a_node_that_cannot_be_ported_is_named(tmp_path):
+    path = tmp_path / "lstm.onnx"
+    onnx_models.lstm(path)
+    refuse(path, "node 1, LSTM 'memory'", "--engine onnx")
+
+
+@pytest.mark.parametrize(
+    ("nodes", "word"),
+    [
+        ([helper.make_node("Softmax", ["x"], ["y"])], "node 0, Softmax"),
+        ([helper.make_node("Tanh", ["x"], ["y"])], "without a layer"),
+        ([helper.make_node("Add", ["x", "x"], ["y"])], "joins 2 branches"),
+        ([helper.make_node("Identity", ["x"], ["y"])], "no MatMul or Gemm"),
+        ([helper.make_node("Identity", ["nowhere"], ["y"])], "nothing makes"),
+        ([helper.make_node("Div", ["one", "x"], ["y"])], "divides a constant"),
+    ],
+)
+def test_graphs_that_are_no_chain_of_layers(tmp_path, nodes, word):
+    path = tmp_path / "odd.onnx"
+    onnx_models.save(path, nodes, {"one": [1.0]})
+    refuse(path, word)
+
+
+def test_an_activation_with_another_shape_is_refused(tmp_path):
+    path = tmp_path / "elu.onnx"
+    (kernel, _), (last, _) = onnx_models.weights((3, 4, 2))
+    nodes = [
+        helper.make_node("MatMul", ["x", "k"], ["a"]),
+        helper.make_node("Elu", ["a"], ["b"], alpha=0.5),
+        helper.make_node("MatMul", ["b", "l"], ["y"]),
+    ]
+    onnx_models.save(path, nodes, {"k": kernel, "l": last})
+    refuse(path, "alpha = 0.5")
+
+
+@pytest.mark.parametrize(("hidden", "word"), [((600,), "600 units"), ((4,) * 8, "9 layers")])
+def test_networks_too_large_for_a_period(tmp_path, hidden, word):
+    path = tmp_path / "large.onnx"
+    onnx_models.keras_style(path, hidden=hidden)
+    refuse(path, word, "--engine onnx")
+
+
+def test_a_newer_opset_than_onnxruntime_knows(tmp_path):
+    def age(model):
+        model.opset_import[0].version = 99
+
+    refuse(changed(tmp_path, age), "opset 99")
+
+
+def test_the_wrong_circuit(tmp_path):
+    refuse(shipped(tmp_path, "lift-flow.onnx"), "circuit 'lift'", "'paper'")
+
+
+def test_another_plant_than_it_was_trained_for():
+    path = resources.models_folder() / "paper-flow.onnx"
+    parameters = make_parameters("paper", {"supply_pressure_mpa": 25.0})
+    refuse(path, "supply_pressure_mpa = 30", "25", "hilrunner train", parameters=parameters)
+    # what its inputs already scale out may differ
+    load_model(path, "paper", make_parameters("paper", {"mass_kg": 900.0, "dead_volume_1_mm3": 2e6}))
+
+
+def test_a_file_changed_after_its_data_sheet(tmp_path):
+    path = shipped(tmp_path)
+    shutil.copy(resources.models_folder() / "paper-flow.onnx.json", tmp_path)
+    load_model(path, "paper")
+    model = onnx.load(path)
+    model.doc_string = "touched"
+    onnx.save(model, path)
+    refuse(path, "data sheet", "sha256")
+
+
+def test_a_data_sheet_that_is_no_json(tmp_path):
+    path = shipped(tmp_path)
+    path.with_name(path.name + ".json").write_text("[1]")
+    with pytest.raises(ModelError, match="JSON object"):
+        load_model(path, "paper")
+    path.with_name(path.name + ".json").write_text("{")
+    with pytest.raises(ModelError, match="cannot be read"):
+        load_model(path, "paper")
+
+
+def test_a_kernel_that_disagrees_with_onnxruntime_is_not_used(tmp_path, monkeypatch):
+    from dataclasses import replace
+
+    from hilrunner.setup import model as module
+
+    honest = module._in_si
+
+    def crooked(*arguments):
+        network = honest(*arguments)
+        return replace(network, output_scale=network.output_scale * (1.0 + 1e-8))
+
+    monkeypatch.setattr(module, "_in_si", crooked)
+    refuse(shipped(tmp_path), "differ by", "of their range")
+
+
+def test_the_command_line_exits_with_2_and_one_line(tmp_path, capsys):
+    from hilrunner.cli import main
+
+    profile = tmp_path / "p.toml"
+    text = (resources.profiles_folder() / "paper.toml").read_text("utf-8")
+    (tmp_path / "broken.onnx").write_bytes(b"\x08\x08 broken")
+    profile.write_text(text.replace("paper-flow.onnx", "broken.onnx"))
+    assert main(["check", str(profile)]) == 2
+    lines = capsys.readouterr().err.strip().splitlines()
+    assert len(lines) == 1 and "broken.onnx" in lines[0]
