@@ -102,7 +102,7 @@ _PAPER: dict[str, float] = {
     "dead_volume_1_mm3": 1e6,
     "dead_volume_2_mm3": 1e6,
     "end_stop_stiffness_npmm": 2e6,
-    "end_stop_damping_spmm": 5e-3,
+    "end_stop_damping_spmm": 1e-3,
     "rest_pressure_2_mpa": 0.5,
     "bulk_modulus_mpa": 690.0,
     "cavitation_pressure_mpa": -0.05,

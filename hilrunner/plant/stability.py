@@ -143,8 +143,24 @@ def sampled_states(axis_plant) -> list[tuple[float, np.ndarray]]:
                 row[4], row[5] = (spool if axis_plant.circuit != status.CIRCUIT_PAPER else 0.0), spool
                 row[6], row[7] = speed, speed
                 rows.append(row)
+            rows.extend(_stalled(prm, base))
         groups.append((command, np.array(rows)))
     return groups
+
+
+def _stalled(prm, base: np.ndarray) -> list[np.ndarray]:
+    """At a stroke end: the rod pressed into its stop by the full supply pressure, where the stop damps hardest."""
+    if base[0] <= 0.0:
+        depth = prm["rod_side_area_m2"] * prm["supply_pressure_pa"] / prm["end_stop_stiffness_npm"]
+        stalled = base.copy()
+        stalled[0], stalled[1] = -depth, 0.0
+        return [stalled]
+    if base[0] >= prm["stroke_m"]:
+        depth = prm["bore_area_m2"] * prm["supply_pressure_pa"] / prm["end_stop_stiffness_npm"]
+        stalled = base.copy()
+        stalled[0], stalled[1] = prm["stroke_m"] + depth, 0.0
+        return [stalled]
+    return []
 
 
 def _starting_point(axis_plant, x: float, command: float) -> np.ndarray:
