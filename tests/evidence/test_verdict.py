@@ -1,0 +1,162 @@
+"""Each limit passes and fails where it should; what cannot be told is not passed."""
+
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+from hilrunner.base import status
+from hilrunner.evidence import plant_use
+from hilrunner.evidence.junit import junit_xml
+from hilrunner.evidence.report import build_report
+from hilrunner.evidence.verdict import FAILED, NOT_JUDGED, PASSED
+from hilrunner.setup.limits import KEYS
+from tests.tools import synthetic_run
+
+# value of each limit that the synthetic run below just keeps, and one it breaks
+EDGES = {
+    "deadline_misses_max": (3, 2),
+    "deadline_miss_ratio_max": (0.0026, 0.0024),
+    "skipped_periods_max": (6, 5),
+    "wake_lateness_us_max": (2200.0, 2199.0),
+    "wake_lateness_us_p999": (1200.0, 500.0),
+    "execution_us_max": (3200.0, 3100.0),
+    "response_us_max": (3500.0, 3000.0),
+    "command_age_ms_max": (0.0, None),
+    "frames_rejected_max": (2, 1),
+    "bus_load_ratio_max": (0.55, 0.53),
+    "fail_safe_ms_max": (61.0, 60.0),
+    "ticks_lost_max": (0, None),
+    "pressure_mpa_min": (0.5, 0.7),
+    "pressure_mpa_max": (10.0, 9.0),
+    "rod_position_mm_min": (599.0, 601.0),
+    "rod_position_mm_max": (621.0, 619.0),
+    "rod_speed_mmps_max": (18.1, 17.9),
+    "settling_ms_max": (0.0, None),
+    "end_stop_ticks_max": (4, 3),
+    "cavitation_ticks_max": (0, None),
+    "outside_training_ticks_max": (5, 4),
+    "check_failures_max": (7, 6),
+    "check_pressure_mpa_max": (0.01, 0.0001),
+    "check_position_mm_max": (0.1, 0.0001),
+}
+TICKS = 3590  # one stop of the valve, three stalls
+NEEDS_REFERENCE = {"tracking_error_mm_max", "tracking_error_mm_rms"}
+
+
+def eventful(block):
+    """Flags, refused frames, a fail-safe and failed checks at known counts."""
+    block["can"]["status"][[0, 4]] = status.FRAME_BAD_CRC
+    block["state"]["flags"][100:104] = status.FLAG_END_STOP
+    block["state"]["flags"][200:205] = status.FLAG_OUTSIDE_TRAINING
+    block["check"]["flags"][300:307] = 1
+    command = block["command"]
+    command["mode"][1400:1450] = status.MODE_FAIL_SAFE
+    command["age_ns"][1400:1450] = 60_500_000 + np.arange(50) * 1_000_000
+
+
+def profile(limits: str) -> str:
+    return f'name = "judged"\n[[axis]]\nname = "lift"\n[limits]\n{limits}'
+
+
+def report_of(tmp_path, limits: str, reference=None, **options):
+    options = {"stall_every": 900, "edit": eventful, **options}
+    path = synthetic_run.write_run(tmp_path / "run.mcap", TICKS, profile_text=profile(limits), **options)
+    return build_report(path, reference)
+
+
+def test_every_limit_has_an_edge_here():
+    assert set(EDGES) | NEEDS_REFERENCE | {"settling_speed_mmps"} == set(KEYS)
+
+
+def test_all_limits_kept_pass(tmp_path):
+    limits = "\n".join(f"{key} = {kept}" for key, (kept, _) in EDGES.items())
+    report = report_of(tmp_path, limits)
+    failed = [one for one in report.verdict.judgements if one.outcome != PASSED]
+    assert failed == []
+    assert report.verdict.exit_code == 0
+    assert len(report.verdict.judgements) == len(EDGES) + 1
+
+
+def test_every_limit_broken_fails(tmp_path):
+    broken = {key: value for key, (_, value) in EDGES.items() if value is not None}
+    report = report_of(tmp_path, "\n".join(f"{key} = {value}" for key, value in broken.items()))
+    outcomes = {one.key: one.outcome for one in report.verdict.judgements}
+    assert {key for key, outcome in outcomes.items() if outcome == FAILED} == set(broken)
+    assert report.verdict.exit_code == 5
+
+
+def test_without_model_limits_the_exit_code_is_1(tmp_path):
+    assert report_of(tmp_path, "rod_speed_mmps_max = 1.0").verdict.exit_code == 1
+
+
+def test_what_cannot_be_told_does_not_pass(tmp_path):
+    report = report_of(tmp_path, "tracking_error_mm_max = 10.0\nresponse_us_max = 1e6", edit=_bare)
+    outcomes = {one.key: one for one in report.verdict.judgements}
+    assert outcomes["tracking_error_mm_max"].outcome == NOT_JUDGED
+    assert "no wave" in outcomes["tracking_error_mm_max"].detail
+    assert outcomes["response_us_max"].outcome == NOT_JUDGED
+    assert report.verdict.exit_code == 1
+
+
+def _bare(block):
+    block["can"] = block["can"][:0]
+
+
+def test_a_limit_of_another_version_is_told_and_does_not_pass(tmp_path):
+    report = report_of(tmp_path, "speed_of_light_max = 1.0\nrod_speed_mmps_max = 100.0")
+    outcomes = {one.key: one.outcome for one in report.verdict.judgements}
+    assert outcomes["speed_of_light_max"] == NOT_JUDGED
+    assert outcomes["rod_speed_mmps_max"] == PASSED
+    assert any("not one of this version" in note for note in report.facts.notes)
+
+
+def test_a_run_that_did_not_end_as_planned_fails(tmp_path):
+    path = synthetic_run.write_run(tmp_path / "run.mcap", 500, profile_text=profile(""))
+    data = path.read_bytes()
+    lost = tmp_path / "lost.mcap"
+    lost.write_bytes(data.replace(b"duration reached", b"state not finite"))
+    assert build_report(path).verdict.exit_code == 0
+    assert build_report(lost).verdict.judgements[0].outcome == FAILED
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data.replace(b"exit_reason", b"exit_season"))
+    assert build_report(cut).verdict.judgements[0].outcome == NOT_JUDGED
+
+
+def test_tracking_follows_a_reference_file(tmp_path):
+    times = np.arange(0, TICKS * 1e-3 + 0.1, 0.01)
+    reference = tmp_path / "reference.csv"
+    rows = "\n".join(f"{t:.3f},{600 + 20 * np.sin(2 * np.pi * t / 8) + 0.25:.6f}" for t in times)
+    reference.write_text(f"time_s,lift_mm\n{rows}\n")
+    limits = "tracking_error_mm_max = 0.26\ntracking_error_mm_rms = 0.2"
+    report = report_of(tmp_path, limits, reference)
+    outcomes = {one.key: one for one in report.verdict.judgements}
+    assert outcomes["tracking_error_mm_max"].value == pytest.approx(0.25, abs=2e-3)
+    assert outcomes["tracking_error_mm_max"].outcome == PASSED
+    assert outcomes["tracking_error_mm_rms"].outcome == FAILED
+
+
+def test_settling_is_timed_from_the_stop_of_the_valve():
+    tick = np.arange(2000)
+    valve = np.where((tick < 500) | ((tick >= 1000) & (tick < 1300)), 0.5, 0.0)
+    speed = np.where(valve > 0, 10.0, 0.0)
+    speed[500:540] = 3.0  # 40 ms of ringing behind the first stop
+    rows = plant_use.settling_times_ms(tick, valve, speed, 1_000_000, 0.5)
+    assert rows.tolist() == [[39.0, 1.0], [0.0, 1.0]]
+    speed[1300:] = 2.0
+    assert plant_use.settling_times_ms(tick, valve, speed, 1_000_000, 0.5)[1].tolist() == [699.0, 0.0]
+    crossing = np.where(tick < 1000, 0.5, -0.5)
+    crossing[1000:1005] = 0.0
+    assert len(plant_use.settling_times_ms(tick, crossing, speed, 1_000_000, 0.5)) == 0
+
+
+def test_junit_carries_every_limit(tmp_path):
+    report = report_of(tmp_path, "rod_speed_mmps_max = 1.0\npressure_mpa_max = 30.0\ntracking_error_mm_max = 1.0")
+    text = junit_xml(report.verdict, "suite <1>", 3.0, {"note": "a\x07b & c"})
+    suite = ElementTree.fromstring(text.encode()).find("testsuite")
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "1", "1")
+    cases = {case.get("name"): case for case in suite.iter("testcase")}
+    assert "18, limit 1" in cases["rod_speed_mmps_max"].find("failure").get("message")
+    assert cases["tracking_error_mm_max"].find("error") is not None
+    assert cases["pressure_mpa_max"].find("failure") is None
+    assert suite.find("properties/property").get("value") == "ab & c"
