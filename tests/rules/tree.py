@@ -94,5 +94,7 @@ def _collect(node: ast.AST, path: str, prefix: str, found: list[Function]) -> No
 def hot_functions() -> tuple[Function, ...]:
     """Functions that run inside a period: decorated with `hot` or `entry` of base.compiled."""
     return tuple(
-        f for f in functions() if f.path.startswith("hilrunner/") and {"hot", "inlined", "entry"}.intersection(f.decorators)
+        f
+        for f in functions()
+        if f.path.startswith("hilrunner/") and {"hot", "inlined", "entry"}.intersection(f.decorators)
     )
