@@ -1,0 +1,51 @@
+"""vcan with a queue and a rate (tc tbf), and with lost, doubled and late frames (tc netem): what a plain vcan never shows."""
+
+import signal
+import subprocess
+import time
+
+import pytest
+
+from hilrunner.base import exit_codes, status
+from tests.tools import vcan_bench
+from tests.vcan.test_main_job import FIRMWARE, complete
+
+
+@pytest.fixture
+def shape():
+    """Put a queue discipline on vcan0; taken away afterwards."""
+
+    def add(*words):
+        subprocess.run(["tc", "qdisc", "add", "dev", "vcan0", "root", *words], check=True)
+
+    yield add
+    subprocess.run(["tc", "qdisc", "del", "dev", "vcan0", "root"], capture_output=True)
+
+
+def test_a_full_transmit_queue_costs_frames_not_the_run(bench, shape):
+    """ENOBUFS: more frames than the bus takes are counted as not sent; the loop neither blocks nor ends."""
+    running = bench()
+    shape("tbf", "rate", "40kbit", "burst", "32", "limit", "48")
+    time.sleep(2.0)
+    assert running.end(signal.SIGINT) == exit_codes.PASSED
+    summary = running.summary()
+    assert summary["frames_unsent"] > 500
+    assert summary["frames_sent"] > 100
+    run = running.run()
+    complete(run)
+    assert len(run.can_tx) == summary["frames_sent"]
+
+
+def test_lost_doubled_and_late_frames_are_counted_and_survived(bench, firmware, shape):
+    running = bench()
+    shape("netem", "delay", "2ms", "1ms", "loss", "10%", "duplicate", "10%")
+    driving = firmware(*FIRMWARE)
+    vcan_bench.wait_for_control(status.CONTROL_ACTIVE)
+    time.sleep(4.0)
+    report = driving.end()
+    assert running.end(signal.SIGINT) == exit_codes.PASSED
+    counts = running.summary()["frames"]["luffing"]
+    assert counts["valid"] > 20
+    assert counts["repeated counter"] > 0
+    assert report["active_periods"] > 20
+    complete(running.run())
