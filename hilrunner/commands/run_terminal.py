@@ -133,7 +133,5 @@ def _check_text(figures: dict) -> str:
         f"p2 {figures['chamber_2_pressure_error_pa_max'] / PA_PER_MPA:.2e} MPa, "
         f"x {figures['rod_position_error_m_max'] / M_PER_MM:.2e} mm"
     )
-    step = max(
-        figures["one_step_chamber_1_pressure_error_pa_max"], figures["one_step_chamber_2_pressure_error_pa_max"]
-    )
+    step = max(figures["one_step_chamber_1_pressure_error_pa_max"], figures["one_step_chamber_2_pressure_error_pa_max"])
     return f"{free} from the first-principle model over {figures['checked_ticks']} ticks; one step {step / PA_PER_MPA:.2e} MPa"

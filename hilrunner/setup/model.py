@@ -253,8 +253,7 @@ def _factors(quantities: tuple[dict, ...]) -> np.ndarray:
 
 def _order(network: model_text.NetworkText, text: model_text.ModelText) -> tuple[list[int], list[int]]:
     """Columns of the file's inputs and outputs in the order the reduced model uses."""
-    _, inputs = model_text.input_form(text.circuit, text.recipe, network)
-    outputs = model_text.ROLE_OUTPUTS[text.circuit, text.recipe, network.role]
+    _, inputs, outputs = model_text.form_of(text.circuit, text.recipe, network)
     orders = []
     for quantities, names in ((network.inputs, inputs), (network.outputs, outputs)):
         have = [model_text.stem(quantity["name"]) for quantity in quantities]
@@ -302,7 +301,7 @@ def _in_si(place: str, chain: Chain, network: model_text.NetworkText, text: mode
         input_high=high,
         input_names=tuple(network.inputs[column]["name"] for column in inputs),
         output_names=tuple(network.outputs[column]["name"] for column in outputs),
-        form=model_text.input_form(text.circuit, text.recipe, network)[0],
+        form=model_text.form_of(text.circuit, text.recipe, network)[0],
     )
 
 
@@ -314,7 +313,7 @@ def _opaque(network: model_text.NetworkText, text: model_text.ModelText) -> Mlp:
     return Mlp(
         (), (), (), 0.0 * ones_in, ones_in, ones_out, 0.0 * ones_out, low, high,
         foreign_layout=layout(inputs, _factors(network.inputs), outputs, _factors(network.outputs)),
-        form=model_text.input_form(text.circuit, text.recipe, network)[0],
+        form=model_text.form_of(text.circuit, text.recipe, network)[0],
     )  # fmt: skip
 
 

@@ -22,31 +22,37 @@ UNITS = {
     "m^3/s": 1.0, "mm^3/s": 1e-9, "L/min": 1e-3 / 60.0,
     "Pa/s": 1.0, "MPa/s": 1e6, "bar/s": 1e5,
     "1": 1.0, "%": 1e-2,
-    "Pa^(1/2)": 1.0, "Pa^(1/4)": 1.0,
+    "m^3/(s Pa^(1/2))": 1.0, "Pa^(1/2)": 1.0, "Pa^(1/4)": 1.0,
 }  # fmt: skip
 
-# what the reduced model hands to a network and takes from it, by circuit, recipe and role; names without their unit.
-# Where several input lists stand, a file uses one of them.
+# what the reduced model hands to a network and takes from it, by circuit, recipe and role: (FORM_*, inputs, outputs), names
+# without their unit. Where several stand, a file uses one of them.
 _FLOWS = ("flow_1_per_command", "flow_2_per_command")
 _PLAIN = ("chamber_1_pressure", "chamber_2_pressure", "valve_command", "spool_opening")
-ROLE_INPUTS: dict[tuple[str, str, str], tuple[tuple[str, ...], ...]] = {
-    ("lift", "flow", "supply"): (("demand_root", "spool_share", "supply_drop"),),
-    ("lift", "flow", "return"): (("chamber_root", "spool_share"),),
-    ("paper", "flow", "flow"): (("chamber_1_pressure", "chamber_2_root", "spool_share"), _PLAIN[:3], _PLAIN),
+_Forms = tuple[tuple[int, tuple[str, ...], tuple[str, ...]], ...]
+ROLE_FORMS: dict[tuple[str, str, str], _Forms] = {
+    ("lift", "flow", "supply"): ((0, ("demand_root", "spool_share", "supply_drop"), ("line_over_chamber",)),),
+    ("lift", "flow", "return"): ((0, ("chamber_root", "spool_share"), ("line_root",)),),
+    ("paper", "flow", "flow"): (
+        (
+            FORM_SHARE,
+            ("chamber_1_pressure", "chamber_2_root", "spool_share"),
+            ("flow_1_per_command", "flow_2_per_command_root"),
+        ),
+        (FORM_PINNED, _PLAIN[:3], _FLOWS),
+        (FORM_PLAIN, _PLAIN, _FLOWS),
+    ),
     ("paper", "paper", "rates"): (
-        ("rod_position", "rod_velocity", "chamber_1_pressure", "chamber_2_pressure", "valve_command"),
+        (
+            0,
+            ("rod_position", "rod_velocity", "chamber_1_pressure", "chamber_2_pressure", "valve_command"),
+            ("chamber_1_pressure_rate", "chamber_2_pressure_rate"),
+        ),
     ),
 }
-ROLE_OUTPUTS: dict[tuple[str, str, str], tuple[str, ...]] = {
-    ("lift", "flow", "supply"): ("line_over_chamber",),
-    ("lift", "flow", "return"): ("line_root",),
-    ("paper", "flow", "flow"): _FLOWS,
-    ("paper", "paper", "rates"): ("chamber_1_pressure_rate", "chamber_2_pressure_rate"),
-}
-FORMS = (FORM_SHARE, FORM_PINNED, FORM_PLAIN)  # of the input lists of role "flow"
 REQUIRED_ROLES = {("lift", "flow"): ("supply", "return"), ("paper", "flow"): ("flow",), ("paper", "paper"): ("rates",)}
 _UNIT_ENDINGS = (
-    "_mm3ps", "_m3ps", "_lpmin", "_mmps", "_mps", "_mpaps", "_paps", "_barps", "_mpa", "_kpa", "_bar", "_sqrtpa",
+    "_m3ps_sqrtpa", "_mm3ps", "_m3ps", "_lpmin", "_mmps", "_mps", "_mpaps", "_paps", "_barps", "_mpa", "_kpa", "_bar", "_sqrtpa",
     "_pa", "_mm", "_m", "_ratio", "_percent",
 )  # fmt: skip
 
@@ -129,22 +135,23 @@ def _json(place: str, properties: dict[str, str], key: str, kind: type):
 
 def _network(place: str, circuit: str, recipe: str, entry: dict) -> NetworkText:
     role = str(entry.get("role", "")) if isinstance(entry, dict) else ""
-    lists = ROLE_INPUTS.get((circuit, recipe, role))
-    if lists is None:
-        known = ", ".join(r for c, n, r in ROLE_INPUTS if (c, n) == (circuit, recipe))
+    forms = ROLE_FORMS.get((circuit, recipe, role))
+    if forms is None:
+        known = ", ".join(r for c, n, r in ROLE_FORMS if (c, n) == (circuit, recipe))
         raise ModelError(place, f"role '{role}' is unknown for {circuit}/{recipe}", known)
     inputs, outputs = tuple(entry.get("inputs", ())), tuple(entry.get("outputs", ()))
-    _match(f"{place}: network '{role}' inputs", inputs, lists, True)
-    _match(f"{place}: network '{role}' outputs", outputs, (ROLE_OUTPUTS[circuit, recipe, role],), False)
-    return NetworkText(role, str(entry.get("input", "")), str(entry.get("output", "")), inputs, outputs)
+    _match(f"{place}: network '{role}' inputs", inputs, tuple(names for _, names, _ in forms), True)
+    network = NetworkText(role, str(entry.get("input", "")), str(entry.get("output", "")), inputs, outputs)
+    wanted = form_of(circuit, recipe, network)[2]
+    _match(f"{place}: network '{role}' outputs", outputs, (wanted,), False)
+    return network
 
 
-def input_form(circuit: str, recipe: str, network: NetworkText) -> tuple[int, tuple[str, ...]]:
-    """(FORM_*, names in the reduced model's order) of the input list a network uses."""
+def form_of(circuit: str, recipe: str, network: NetworkText) -> tuple[int, tuple[str, ...], tuple[str, ...]]:
+    """(FORM_*, inputs, outputs) a network uses, names in the reduced model's order."""
     names = sorted(stem(quantity["name"]) for quantity in network.inputs)
-    lists = ROLE_INPUTS[circuit, recipe, network.role]
-    index = next(place for place, names_here in enumerate(lists) if sorted(names_here) == names)
-    return FORMS[index], lists[index]
+    forms = ROLE_FORMS[circuit, recipe, network.role]
+    return next(form for form in forms if sorted(form[1]) == names)
 
 
 def _match(place: str, quantities: tuple[dict, ...], lists: tuple[tuple[str, ...], ...], ranged: bool) -> None:
