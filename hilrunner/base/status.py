@@ -80,6 +80,7 @@ CAUSE_STEP = 5  # the plant step took the time
 CAUSE_SEND = 6
 CAUSE_RECORDER = 7  # the ring was full
 CAUSE_MIGRATED = 8  # another core than the tick before
+CAUSE_CARRIED_OVER = 9  # the tick before ended after this one was due
 CAUSE_NAMES = (
     "unknown",
     "page fault",
@@ -90,6 +91,7 @@ CAUSE_NAMES = (
     "send blocked",
     "recorder stopped or slow",
     "moved to another core",
+    "carried over from the tick before",
 )
 
 # why a run ended

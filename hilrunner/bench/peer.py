@@ -1,7 +1,7 @@
 """The other end of the socketpair: a compiled stand-in for the firmware that needs no interpreter while it runs.
 
 It sends one valid command an axis in the middle of every period and takes whatever the bench sent: one frame in, three out,
-as on the bus. AF_UNIX datagrams carry the same `struct can_frame` as SocketCAN.
+as on the bus. AF_UNIX packets carry the same `struct can_frame` as SocketCAN.
 """
 
 import contextlib
@@ -27,8 +27,11 @@ WORD_STOP, WORD_SENT, WORD_RECEIVED = range(3)
 
 
 def socket_pair() -> tuple[socket.socket, socket.socket]:
-    """Loop's end and peer's end, non-blocking, with buffers for thousands of frames."""
-    pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    """Loop's end and peer's end, non-blocking, with buffers for thousands of frames.
+
+    Packets in sequence, not datagrams: those are limited to net.unix.max_dgram_qlen, 10 by default.
+    """
+    pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     for end in pair:
         end.setblocking(False)
         # the larger of the two is granted only with rights; the smaller one is enough at these rates

@@ -56,6 +56,7 @@ PROGRESS = np.dtype(
         ("near_miss_left", "i8"),
         ("record_ns_before", "i8"),
         ("wake_mono_ns_before", "i8"),
+        ("carried_ns", "i8"),  # how late this tick already was when the tick before had ended; 0: in time
         ("forced_fail_safe", "i8"),  # 1: a limit forced the fail-safe at the end of the last tick
         ("flags_seen", "i8"),  # OR of all state flags
         ("echo_real_ns", "i8"),  # receive stamp of the command this tick answers; 0: none

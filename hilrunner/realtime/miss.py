@@ -17,6 +17,7 @@ from numba import types
 from hilrunner.base.compiled import hot
 from hilrunner.base.records import PHASE_WAKE
 from hilrunner.base.status import (
+    CAUSE_CARRIED_OVER,
     CAUSE_FRAME_BURST,
     CAUSE_LATE_WAKE,
     CAUSE_MIGRATED,
@@ -47,6 +48,9 @@ _RUSAGE_THREAD = 1
 SCHEDSTAT_SIZE = 64
 NO_SCHEDSTAT = -1
 _SPACE, _ZERO = 32, 48
+MINOR_FAULT_NS = (
+    50_000  # what a minor fault may cost at worst (a page zeroed and mapped: 1 us; a huge one: 50 us and more)
+)
 
 
 def _libc_function(name: str, result: types.Type, *arguments: types.Type):
@@ -137,37 +141,54 @@ def longest_part(wake_lateness_ns, phase_ns):
 
 
 @hot
-def suspect_cause(wake_lateness_ns, phase_ns, before, after, frame_count, burst_frame_count, late, record_dropped):
+def _faults_explain(before, after, longest_ns):
+    """Whether page faults between two readings can make half of `longest_ns`.
+
+    A major one can. So can a minor one that made the thread sleep: every call of the loop but the sleep before the tick is
+    non-blocking, so a second voluntary switch is a fault that waited (memory reclaim, another task's fault on the page).
+    """
+    minor = after[USAGE_FAULTS_MINOR] - before[USAGE_FAULTS_MINOR]
+    waited = minor > 0 and after[USAGE_SWITCHES_VOLUNTARY] - before[USAGE_SWITCHES_VOLUNTARY] > 1
+    major = after[USAGE_FAULTS_MAJOR] - before[USAGE_FAULTS_MAJOR]
+    return major > 0 or waited or 2 * minor * MINOR_FAULT_NS >= longest_ns
+
+
+@hot
+def suspect_cause(
+    wake_lateness_ns, carried_ns, phase_ns, before, after, frame_count, burst_frame_count, late, record_dropped
+):
     """The longest part of a late tick and the cause that explains it best; strongest evidence first.
 
-    A suspicion, not a proof: 1. the thread waited in the run queue, or was switched out, for at least half of the
-    longest part: another task. 2. a page fault within the work (asleep, a thread has none): memory. 3. more frames than a
+    A suspicion, not a proof: 0. most of the lateness was there when the tick before ended. 1. the thread waited in the run queue, or was switched out, for at least half of the
+    longest part: another task. 2. page faults within the work (asleep, a thread has none) that can
+    make half of it: memory. 3. more frames than a
     tick may bring: a burst. 4. another core. 5. whatever the longest part is by itself. A tick that was on time but whose
     records found the ring full names the recorder.
 
     Args:
-        wake_lateness_ns: wake-up against deadline. phase_ns: int64[PHASE_COUNT], durations.
+        wake_lateness_ns: wake-up against deadline. carried_ns: how much of it the tick before had left over.
+        phase_ns: int64[PHASE_COUNT], durations.
         before, after: int64[USAGE_SIZE], `read_usage` at the end of the tick before and of this one.
         frame_count: frames this tick took from the socket. burst_frame_count: from how many on it is a burst.
         late: the tick missed its deadline. record_dropped: the ring was full.
     Returns:
         (PHASE_* or PHASE_WAKE, CAUSE_*), both int64.
     """
-    longest, longest_ns = longest_part(wake_lateness_ns, phase_ns)
+    longest, longest_ns = longest_part(wake_lateness_ns - carried_ns, phase_ns)
     if record_dropped and not late:
         return np.int64(PHASE_RECORD), np.int64(CAUSE_RECORDER)
+    if carried_ns > longest_ns:
+        return np.int64(PHASE_WAKE), np.int64(CAUSE_CARRIED_OVER)
     involuntary = after[USAGE_SWITCHES_INVOLUNTARY] - before[USAGE_SWITCHES_INVOLUNTARY]
     if before[USAGE_RUN_DELAY_NS] >= 0 and after[USAGE_RUN_DELAY_NS] >= 0:
         waited_ns = after[USAGE_RUN_DELAY_NS] - before[USAGE_RUN_DELAY_NS]
         preempted = 2 * waited_ns >= longest_ns
     else:
         preempted = involuntary > 0
-    major = after[USAGE_FAULTS_MAJOR] - before[USAGE_FAULTS_MAJOR]
-    minor = after[USAGE_FAULTS_MINOR] - before[USAGE_FAULTS_MINOR]
     cause = np.int64(CAUSE_UNKNOWN)
     if preempted:
         cause = np.int64(CAUSE_PREEMPTED)
-    elif (major > 0 or minor > 0) and longest != PHASE_WAKE:
+    elif longest != PHASE_WAKE and _faults_explain(before, after, longest_ns):
         cause = np.int64(CAUSE_PAGE_FAULT)
     elif frame_count >= burst_frame_count and longest != PHASE_WAKE and longest != PHASE_STEP:
         cause = np.int64(CAUSE_FRAME_BURST)

@@ -11,7 +11,7 @@ from hilrunner.base.records import PHASE_WAKE
 from hilrunner.realtime import miss
 
 US = 1_000
-QUIET = dict(wake=5 * US, phases=(1, 1, 5, 4, 2), usage={}, frames=1, late=True, dropped=False)
+QUIET = dict(wake=5 * US, carried=0, phases=(1, 1, 5, 4, 2), usage={}, frames=1, late=True, dropped=False)
 # name, what differs from a quiet tick, longest part, cause
 TABLE = [
     ("late timer", dict(wake=900 * US), PHASE_WAKE, status.CAUSE_LATE_WAKE),
@@ -21,6 +21,8 @@ TABLE = [
     ("fault explains no late timer", dict(wake=900 * US, usage={"minor": 3}), PHASE_WAKE, status.CAUSE_LATE_WAKE),
     ("major fault in the step", dict(phases=(1, 1, 900, 4, 2), usage={"major": 1}), status.PHASE_STEP, status.CAUSE_PAGE_FAULT),
     ("minor faults in the step", dict(phases=(1, 1, 900, 4, 2), usage={"minor": 9}), status.PHASE_STEP, status.CAUSE_PAGE_FAULT),
+    ("one minor fault is no excuse for so much", dict(phases=(1, 1, 900, 4, 2), usage={"minor": 1}), status.PHASE_STEP, status.CAUSE_STEP),
+    ("a minor fault that slept", dict(phases=(1, 1, 900, 4, 2), usage={"minor": 1, "voluntary": 2}), status.PHASE_STEP, status.CAUSE_PAGE_FAULT),
     ("switched out in the step", dict(phases=(1, 1, 900, 4, 2), usage={"delay": 800 * US, "minor": 1}), status.PHASE_STEP, status.CAUSE_PREEMPTED),
     ("step alone", dict(phases=(1, 1, 900, 4, 2)), status.PHASE_STEP, status.CAUSE_STEP),
     ("burst, receive", dict(phases=(900, 400, 5, 4, 2), frames=1000), status.PHASE_RECEIVE, status.CAUSE_FRAME_BURST),
@@ -31,6 +33,8 @@ TABLE = [
     ("ring full, late in record", dict(phases=(1, 1, 5, 4, 900), dropped=True), status.PHASE_RECORD, status.CAUSE_RECORDER),
     ("late in receive without a reason", dict(phases=(900, 1, 5, 4, 2)), status.PHASE_RECEIVE, status.CAUSE_UNKNOWN),
     ("no schedstat, switched out", dict(phases=(900, 1, 5, 4, 2), usage={"delay": None, "involuntary": 2}), status.PHASE_RECEIVE, status.CAUSE_PREEMPTED),
+    ("late from the tick before", dict(wake=900 * US, carried=880 * US), PHASE_WAKE, status.CAUSE_CARRIED_OVER),
+    ("late from before, but the step is worse", dict(wake=300 * US, carried=290 * US, phases=(1, 1, 900, 4, 2)), status.PHASE_STEP, status.CAUSE_STEP),
     ("no schedstat, late timer", dict(wake=900 * US, usage={"delay": None}), PHASE_WAKE, status.CAUSE_LATE_WAKE),
 ]  # fmt: skip
 
@@ -52,7 +56,7 @@ def test_cause_table(name, changes, part, cause):
     before, after = _usage(tick["usage"])
     phase_ns = np.array(tick["phases"], np.int64) * US
     found = miss.suspect_cause(
-        tick["wake"], phase_ns, before, after, tick["frames"], 100, tick["late"], tick["dropped"]
+        tick["wake"], tick["carried"], phase_ns, before, after, tick["frames"], 100, tick["late"], tick["dropped"]
     )
     assert (part, status.CAUSE_NAMES[cause]) == (found[0], status.CAUSE_NAMES[found[1]])
 
