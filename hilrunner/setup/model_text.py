@@ -22,7 +22,7 @@ UNITS = {
     "m^3/s": 1.0, "mm^3/s": 1e-9, "L/min": 1e-3 / 60.0,
     "Pa/s": 1.0, "MPa/s": 1e6, "bar/s": 1e5,
     "1": 1.0, "%": 1e-2,
-    "m^3/(s Pa^(1/2))": 1.0, "Pa^(1/2)": 1.0, "Pa^(1/4)": 1.0,
+    "Pa^(1/2)": 1.0, "Pa^(1/4)": 1.0,
 }  # fmt: skip
 
 # what the reduced model hands to a network and takes from it, by circuit, recipe and role: (FORM_*, inputs, outputs), names
@@ -34,11 +34,7 @@ ROLE_FORMS: dict[tuple[str, str, str], _Forms] = {
     ("lift", "flow", "supply"): ((0, ("demand_root", "spool_share", "supply_drop"), ("line_over_chamber",)),),
     ("lift", "flow", "return"): ((0, ("chamber_root", "spool_share"), ("line_root",)),),
     ("paper", "flow", "flow"): (
-        (
-            FORM_SHARE,
-            ("chamber_1_pressure", "chamber_2_root", "spool_share"),
-            ("flow_1_per_command", "flow_2_per_command_root"),
-        ),
+        (FORM_SHARE, ("chamber_1_pressure", "chamber_2_root", "spool_share"), _FLOWS),
         (FORM_PINNED, _PLAIN[:3], _FLOWS),
         (FORM_PLAIN, _PLAIN, _FLOWS),
     ),
@@ -52,7 +48,7 @@ ROLE_FORMS: dict[tuple[str, str, str], _Forms] = {
 }
 REQUIRED_ROLES = {("lift", "flow"): ("supply", "return"), ("paper", "flow"): ("flow",), ("paper", "paper"): ("rates",)}
 _UNIT_ENDINGS = (
-    "_m3ps_sqrtpa", "_mm3ps", "_m3ps", "_lpmin", "_mmps", "_mps", "_mpaps", "_paps", "_barps", "_mpa", "_kpa", "_bar", "_sqrtpa",
+    "_mm3ps", "_m3ps", "_lpmin", "_mmps", "_mps", "_mpaps", "_paps", "_barps", "_mpa", "_kpa", "_bar", "_sqrtpa",
     "_pa", "_mm", "_m", "_ratio", "_percent",
 )  # fmt: skip
 

@@ -63,7 +63,7 @@ def _lbfgs(shape: Shape, data: Data, seed: int, seconds: float) -> torch.Tensor:
     started = time.monotonic()
     before = float("inf")
     while time.monotonic() - started < seconds:
-        loss = float(optimiser.step(closure))
+        loss = float(optimiser.step(closure).detach())
         if not loss < before:
             break
         before = loss

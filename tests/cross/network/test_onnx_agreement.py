@@ -20,7 +20,6 @@ from hilrunner.setup.model import load_model
 SHIPPED = [
     ("lift-flow.onnx", "lift", "lift"),
     ("paper-flow.onnx", "paper", "paper"),
-    ("paper-paper.onnx", "paper", "paper"),
 ]
 
 
