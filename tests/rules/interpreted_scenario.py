@@ -37,11 +37,12 @@ def _noted(function):
 
 if INTERPRETED:  # before any hot function is defined
     compiled.hot = _noted
+    compiled.inlined = _noted
     compiled.entry = _noted
 
 from hilrunner.base import records, status  # noqa: E402
-from hilrunner.plant import initial, residual, stability, step, wave  # noqa: E402
-from hilrunner.realtime import clock, cycle, loop, socketcan  # noqa: E402
+from hilrunner.plant import hydraulics, initial, line, rates_paper, residual, stability, step, wave  # noqa: E402
+from hilrunner.realtime import clock, cycle, loop, miss, socketcan  # noqa: E402
 from hilrunner.record import crosscheck  # noqa: E402
 from hilrunner.setup import arm as arming  # noqa: E402
 from hilrunner.setup import axes as axis_setup  # noqa: E402
@@ -226,6 +227,24 @@ def equations(plants, states):
         assert np.all(np.abs(r) < 1e-3 * np.maximum(1.0, np.abs(dy).max())), (plant.circuit, r)
 
 
+def side_branches(plants):
+    """Functions of offline users and rare branches, interpreted only: each with a truth that needs no second computation."""
+    article = plants[2]
+    prm, load = article.parameters[0], article.load.record()[0]
+    assert [hydraulics.check_opening(drop, 1e5, 1e5) for drop in (0.0, 2e5)] == [0.0, 1.0]
+    _, supply_flow, _ = line.solve_supply_line(0, prm, 5e6, 0.0, prm["valve_pa_si"], 6e6)
+    _, return_flow, _ = line.solve_return_line(0, prm, 5e6, prm["cbv_si"], prm["valve_bt_si"], 4e6)
+    assert supply_flow > 0.0 > return_flow
+    (speed, *_), _ = rates_paper.quasi_static_paper_rates((prm, load, 1.0, 0.3), (0.5, 0.01, 9e6, 1e6), (0.0, 0.0, 0))
+    assert speed == 0.01
+    before, after = np.zeros(miss.USAGE_SIZE, np.int64), np.zeros(miss.USAGE_SIZE, np.int64)
+    after[miss.USAGE_FAULTS_MAJOR] = 1
+    phases = np.full(status.PHASE_COUNT, 5_000_000, np.int64)
+    _, cause = miss.suspect_cause(0, 0, phases, before, after, 0, 64, True, False)
+    assert cause == status.CAUSE_PAGE_FAULT
+    assert wave.load_scale_series(wave.no_heave(), np.zeros(2)).tolist() == [1.0, 1.0]
+
+
 def stepped(plants, states, out, name):
     """A few periods of every axis by the offline entry point."""
     model = step.assemble(plants, 1e-3)
@@ -270,16 +289,21 @@ def axis_sets(folder):
     for profile in SURROGATE_PROFILES:
         for engine in (status.ENGINE_SURROGATE, status.ENGINE_ONNX):
             runs[f"{profile} {status.ENGINE_NAMES[engine]}"] = (load_profile(profile), engine)
-    build = axis_setup.build_axes
     if not INTERPRETED:
-        made = {name: build(*run) for name, run in runs.items()}
-        kept.write_bytes(pickle.dumps({name: (set_.plants, set_.initial_states) for name, set_ in made.items()}))
+        made = {name: axis_setup.build_axes(*run) for name, run in runs.items()}
+        starts = {name: ([p.substep_count for p in axes.plants], axes.initial_states) for name, axes in made.items()}
+        kept.write_bytes(pickle.dumps(starts))
         return {name: (loaded, made[name]) for name, (loaded, _) in runs.items()}
-    taken = pickle.loads(kept.read_bytes())
-    return {
-        name: (loaded, axis_setup.AxisSet(taken[name][0], axis_setup.make_waves(loaded), taken[name][1], []))
-        for name, (loaded, _) in runs.items()
-    }
+    starts = pickle.loads(kept.read_bytes())
+    return {name: (loaded, taken_over(loaded, engine, *starts[name])) for name, (loaded, engine) in runs.items()}
+
+
+def taken_over(loaded, engine, substep_counts, states):
+    """Axes built here, without the two searches."""
+    counts = iter(substep_counts)
+    axis_setup._substeps = lambda *_: next(counts)
+    axis_setup.initial_states = lambda *_: states.copy()
+    return axis_setup.build_axes(loaded, engine)
 
 
 def arm_offline(loaded, axes):
@@ -303,6 +327,7 @@ def main():
     checked(axes.plants, axes.initial_states, out)
     if INTERPRETED:
         equations(axes.plants, axes.initial_states)
+        side_branches(axes.plants)
     single_functions(out)
     np.savez(folder / ("interpreted.npz" if INTERPRETED else "compiled.npz"), **out)
     (folder / "entered.json").write_text(json.dumps(sorted(ENTERED)))
