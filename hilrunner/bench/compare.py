@@ -5,16 +5,14 @@ import subprocess
 
 import numpy as np
 
-from hilrunner.base.histogram_scale import merge, percentiles
+from hilrunner.base.histogram_scale import percentiles
 from hilrunner.base.records import HISTOGRAM_NAMES
 from hilrunner.base.units import NS_PER_US
 from hilrunner.bench import cyclictest
-from hilrunner.bench.results import Table
+from hilrunner.bench.results import HEADINGS, SHOWN, Table, pooled_us
 from hilrunner.bench.tick import Slice, TickBench
 from hilrunner.bench.turns import median_ratio, take_turns
 
-SHOWN = ("p50", "p99", "p999", "max")
-_HEADINGS = ("p50 us", "p99 us", "p99.9 us", "max us")
 SPIN_NS_MIN, SPIN_NS_MAX = 20_000, 300_000
 PHASES = ("receive", "decode", "step", "encode", "record", "execution")
 
@@ -62,13 +60,8 @@ def compare(bench: TickBench, rounds: int, slice_s: float, spin_ns: int = 0) -> 
     return _lateness_table(title, rows, notes, spin_ns), _execution_table(results["tick"], bench)
 
 
-def _quantiles_us(taken: list[tuple[np.ndarray, np.ndarray]]) -> list[float]:
-    pooled = percentiles(*merge(np.stack([row for row, _ in taken]), np.stack([extreme for _, extreme in taken])))
-    return [pooled[name] / NS_PER_US for name in SHOWN]
-
-
 def _lateness_table(title: str, rows: dict[str, list], notes: list[str], spin_ns: int) -> Table:
-    shown = [(name, *_quantiles_us(taken)) for name, taken in rows.items()]
+    shown = [(name, *pooled_us(taken)) for name, taken in rows.items()]
     values: dict = {"spin_ns": spin_ns}
     for name, taken in rows.items():
         key = name.replace(", ", "_").replace(" ", "_")
@@ -80,7 +73,7 @@ def _lateness_table(title: str, rows: dict[str, list], notes: list[str], spin_ns
             key = name.replace(", ", "_").replace(" ", "_")
             values |= {f"{key}_ratio_{quantile}": ratio for quantile, ratio in zip(SHOWN, ratios, strict=True)}
     skipped = "a stall counts its skipped periods as late samples, in both"
-    return Table("lateness", title, ("", *_HEADINGS), shown, [skipped, *notes], values)
+    return Table("lateness", title, ("", *HEADINGS), shown, [skipped, *notes], values)
 
 
 def _ratio(ours: list, rival: list, quantile: str) -> float:
@@ -90,7 +83,7 @@ def _ratio(ours: list, rival: list, quantile: str) -> float:
 def _execution_table(taken: list[Slice], bench: TickBench) -> Table:
     rows, values = [], {}
     for name in PHASES:
-        rows.append((name, *_quantiles_us([one.of(name) for one in taken])))
+        rows.append((name, *pooled_us([one.of(name) for one in taken])))
         medians = [percentiles(*one.of(name))["p50"] for one in taken]
         values[f"{name}_ns_p50"] = statistics.median(medians)
     ticks = sum(one.ticks for one in taken)
@@ -102,7 +95,7 @@ def _execution_table(taken: list[Slice], bench: TickBench) -> Table:
     ]
     title = f"Execution of a tick, {len(bench.armed.bench.state)} axis, socketpair, recorded (phases and whole)"
     values |= {"ticks": ticks, "misses": sum(one.misses for one in taken)}
-    return Table("execution", title, ("phase", *_HEADINGS), rows, notes, values)
+    return Table("execution", title, ("phase", *HEADINGS), rows, notes, values)
 
 
 assert set(PHASES) <= set(HISTOGRAM_NAMES)

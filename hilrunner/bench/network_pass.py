@@ -186,15 +186,15 @@ def pass_table(name: str, networks: SurrogateNetworks, role: str, rounds: int, s
     last = {name: np.atleast_1d(run(_POINTS))[0] for name, run in runs.items()}
     times = time_turns(runs, rounds, slice_s)
     rows = [
-        (rival, float(np.median(ns)), min(ns), median_ratio(ns, times[OURS]), fingerprint(np.round(last[rival], 9)))
+        (rival, float(np.median(ns)), min(ns), median_ratio(ns, times[OURS]), fingerprint(np.float32(last[rival])))
         for rival, ns in times.items()
     ]
     shape = "-".join(map(str, network.layer_sizes))
     notes = _limit_notes(network, float(np.median(times[OURS])))
     if torch_run is None:
         notes.append("torch is not installed")
-    worst = max(abs(value - last[OURS]) for value in last.values())
-    notes.append(f"results agree within {worst:.1e} at the last point")
+    worst = max(abs(value / last[OURS] - 1.0) for value in last.values())
+    notes.append(f"results agree within {worst:.1e} of the value at the last point")
     values = {f"{rival.split(',')[0].split(' ')[0]}_ns": ns for rival, ns in times.items()}
     columns = ("", "median ns", "best ns", "times ours", "result")
     title = f"One pass through the {role} network of {name}, {shape}, float64, {rounds} rounds in turns"

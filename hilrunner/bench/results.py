@@ -1,6 +1,15 @@
 """What a benchmark hands over: tables of rows for people, the same numbers in SI-named keys for machines."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+
+import numpy as np
+
+from hilrunner.base.histogram_scale import merge, percentiles
+from hilrunner.base.units import NS_PER_US
+
+SHOWN = ("p50", "p99", "p999", "max")  # of the names in records.STATISTIC_NAMES
+HEADINGS = ("p50 us", "p99 us", "p99.9 us", "max us")
 
 
 @dataclass(frozen=True)
@@ -61,3 +70,9 @@ def _line(words: list[str], widths: list[int]) -> str:
         word.rjust(width) for word, width in zip(words[1:], widths[1:], strict=True)
     ]
     return "  ".join(aligned).rstrip()
+
+
+def pooled_us(taken: Sequence[tuple[np.ndarray, np.ndarray]]) -> list[float]:
+    """SHOWN quantiles, us, of all samples in several pairs of histogram row and extreme row."""
+    pooled = percentiles(*merge(np.stack([row for row, _ in taken]), np.stack([extreme for _, extreme in taken])))
+    return [pooled[name] / NS_PER_US for name in SHOWN]

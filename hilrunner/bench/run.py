@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterator
 
 from hilrunner.base import status
-from hilrunner.bench import capacity, compare, log_rate, network_pass, plant_step
+from hilrunner.bench import capacity, compare, disturb, log_rate, network_pass, plant_step
 from hilrunner.bench.results import Table
 from hilrunner.bench.tick import TickBench, choose_place, say
 from hilrunner.plant.step import AxisPlant
@@ -101,8 +101,15 @@ def log_part(arguments: argparse.Namespace) -> Iterator[Table]:
     yield log_rate.log_rate(place, arguments.profile, _engine(arguments), arguments.log_s)
 
 
+def disturb_part(arguments: argparse.Namespace) -> Iterator[Table]:
+    """The tick against cyclictest beside a busy interpreter, collector and writer."""
+    place = choose_place(arguments.cpu, arguments.priority)
+    with TickBench(place, arguments.profile, engine=_engine(arguments)) as bench:
+        yield disturb.disturb_table(bench, arguments.rounds, arguments.slice_s)
+
+
 def _engine(arguments: argparse.Namespace) -> int:
     return status.ENGINE_NAMES.index(arguments.engine)
 
 
-PARTS = {"step": step_part, "loop": loop_part, "capacity": capacity_part, "log": log_part}
+PARTS = {"step": step_part, "loop": loop_part, "capacity": capacity_part, "log": log_part, "disturb": disturb_part}

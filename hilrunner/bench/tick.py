@@ -198,10 +198,14 @@ class TickBench:
         if fd >= 0:
             os.close(fd)
         self._thread.close()
+        self.finish_log()
+        self._stack.close()
+
+    def finish_log(self) -> None:
+        """End the recorder; its summary is known from here on, and the log is whole until the block ends."""
         if self._record:
             self._store(ring_layout.WORD_EXIT_REASON, status.EXIT_DURATION)
             self.recorder_summary = self._recorder.finish()
-        self._stack.close()
 
     @property
     def recorder_pid(self) -> int:

@@ -1,4 +1,4 @@
-"""Plant step, loop, capacity and log of this host, against named rivals in the same run, taken in turns on the same core.
+"""Plant step, loop, capacity, log and disturbances on this host, against named rivals in the same run, taken in turns on the same core.
 
 Prints tables (or one JSON object) with the host's findings and never judges: a slow host is a fact, not an error. Exit code 0.
 Rivals: numpy, onnxruntime, torch (if installed), SUNDIALS IDA, scipy Radau, cyclictest (Debian package rt-tests).
@@ -9,7 +9,7 @@ import json
 
 from hilrunner.base import exit_codes
 
-PARTS = ("step", "loop", "capacity", "log")
+PARTS = ("step", "loop", "capacity", "log", "disturb")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
