@@ -15,7 +15,7 @@ from hilrunner.setup.axes import make_axis_plants
 from hilrunner.setup.profile import load_profile
 
 STEP_PROFILES = {"paper": "paper", "lift": "amc-lift"}
-_STEP_SLICE_S = 0.2
+_STEP_SLICE_S_MAX = 0.2
 
 
 def host_part(arguments: argparse.Namespace) -> dict:
@@ -62,20 +62,21 @@ def _on_core(cpu: int) -> Iterator[None]:
 def step_part(arguments: argparse.Namespace) -> Iterator[Table]:
     """Network pass, RK4 step, and the cost of 1 ms by engine and circuit."""
     place = choose_place(arguments.cpu, arguments.priority)
+    slice_s = min(_STEP_SLICE_S_MAX, arguments.slice_s)
     with _on_core(place.cpu):
         say("trained models")
         plants = {name: _axis(profile, status.ENGINE_SURROGATE) for name, profile in STEP_PROFILES.items()}
         for name, plant in plants.items():
             for role in plant.networks.networks:
                 say(f"one pass, {name} {role}")
-                yield network_pass.pass_table(name, plant.networks, role, arguments.rounds, _STEP_SLICE_S)
-        yield plant_step.rk4_step_table(plants, arguments.rounds, _STEP_SLICE_S)
+                yield network_pass.pass_table(name, plant.networks, role, arguments.rounds, slice_s)
+        yield plant_step.rk4_step_table(plants, arguments.rounds, slice_s)
         for name, plant in plants.items():
             say(f"1 ms of the plant, {name}")
             onnx_plant = _axis(STEP_PROFILES[name], status.ENGINE_ONNX)
-            yield plant_step.cost_table(name, plant, onnx_plant, arguments.rounds, _STEP_SLICE_S)
+            yield plant_step.cost_table(name, plant, onnx_plant, arguments.rounds, slice_s)
         lines = plant_step.lines_plant(plants["lift"])
-        yield plant_step.cost_table("lift-lines", lines, None, arguments.rounds, _STEP_SLICE_S)
+        yield plant_step.cost_table("lift-lines", lines, None, arguments.rounds, slice_s)
 
 
 def loop_part(arguments: argparse.Namespace) -> Iterator[Table]:
