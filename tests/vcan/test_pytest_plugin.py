@@ -37,6 +37,6 @@ def test_refused(hil_bench):
 def test_a_bench_test_in_a_few_lines(pytester, monkeypatch):
     monkeypatch.setenv("HILRUNNER_CACHE", str(CACHE))
     pytester.makepyfile(TEN_LINES)
-    result = pytester.runpytest_subprocess("-p", "hilrunner.evidence.pytest_plugin", "--timeout=280", "--durations=0")
+    result = pytester.runpytest_subprocess("--timeout=280", "--durations=0")
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(["*--period-us*1 us*"])
