@@ -27,7 +27,7 @@ def core_count(files: HostFiles) -> Finding:
     count = len(online(files))
     if count >= 2:
         return Finding("cores", str(count), OK)
-    return Finding("cores", "1: the recorder competes with the loop", FAIL, "give the machine a second core")
+    return Finding("cores", "only 1, so the recorder competes with the loop", FAIL, "give the machine a second core")
 
 
 def governor(files: HostFiles, cpu: int) -> Finding:

@@ -55,7 +55,7 @@ def preemption(files: HostFiles) -> Finding:
         )
     if re.search(r"\bPREEMPT\b", version):
         return Finding("kernel preemption", "PREEMPT", WARN, _RT_REMEDY)
-    mode = _dynamic_mode(files) or "none told"
+    mode = _dynamic_mode(files) or "none that it tells of"
     return Finding("kernel preemption", mode, FAIL, _RT_REMEDY)
 
 

@@ -43,7 +43,7 @@ PREEMPTION = [
     ({"proc/version": DYNAMIC, f"boot/config-{platform.release()}": "x\nCONFIG_PREEMPT=y"}, WARN, "full"),
     ({"proc/version": DYNAMIC}, WARN, "not readable"),
     ({"proc/version": "Linux version 5.4 #1 SMP PREEMPT"}, WARN, "PREEMPT"),
-    ({"proc/version": "Linux version 5.4 #1 SMP"}, FAIL, "none told"),
+    ({"proc/version": "Linux version 5.4 #1 SMP"}, FAIL, "none that"),
 ]
 
 
