@@ -16,11 +16,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Build everything a run would build, without bus and clock; exit 2 with the reason where it cannot be built."""
     from hilrunner.base import status
-    from hilrunner.plant.step import stability_limit_s
     from hilrunner.setup.arm import arm_offline
     from hilrunner.setup.axes import period_ns, period_s
     from hilrunner.setup.host import bus_load_ratio
     from hilrunner.setup.profile import load_profile
+    from hilrunner.setup.stability_store import stored_stability_limit_s
     from hilrunner.setup.traffic import profile_traffic
 
     loaded = load_profile(args.profile)
@@ -28,7 +28,7 @@ def main(args: argparse.Namespace) -> int:
     load = bus_load_ratio(profile_traffic(loaded, period_ns(loaded)), loaded.profile.can.bitrate)
     axes = []
     for axis, plant in zip(loaded.profile.axis, armed.axes.plants, strict=True):
-        limit_s = stability_limit_s(plant)
+        limit_s = stored_stability_limit_s(plant)
         count = plant.substep_count
         axes.append(
             {

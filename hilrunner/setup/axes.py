@@ -12,9 +12,10 @@ from hilrunner.base.units import M_PER_MM, N_PER_KN, NS_PER_US
 from hilrunner.plant import load as plant_load
 from hilrunner.plant import wave as plant_wave
 from hilrunner.plant.parameters import make_parameters
-from hilrunner.plant.step import AxisPlant, default_substep_count, initial_state, stability_limit_s
+from hilrunner.plant.step import AxisPlant, initial_state
 from hilrunner.setup import resources
 from hilrunner.setup.profile import Axis, Load, LoadedProfile
+from hilrunner.setup.stability_store import stored_stability_limit_s, stored_substep_count
 
 
 def period_s(loaded: LoadedProfile) -> float:
@@ -140,8 +141,8 @@ def _substeps(loaded: LoadedProfile, axis: Axis, plant: AxisPlant, place: str) -
     surrogate = plant.engine != status.ENGINE_REFERENCE
     wanted = axis.surrogate_substeps if surrogate else axis.reference_substeps
     if wanted == 0:
-        return default_substep_count(plant, period)
-    limit_s = stability_limit_s(plant)
+        return stored_substep_count(plant, period)
+    limit_s = stored_stability_limit_s(plant)
     if period / wanted > limit_s:
         key = "surrogate_substeps" if surrogate else "reference_substeps"
         raise ProfileError(

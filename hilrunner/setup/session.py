@@ -1,7 +1,7 @@
 """One run from profile to closed log: open the bus, start the recorder, arm, ask for real time, run the loop, end cleanly.
 
 The loop runs on a thread of its own that never needs the interpreter; this thread only watches: signals, the live line, the
-recorder. Order matters: rights first (nothing later may page), recorder and arming side by side, clock last.
+recorder. Order matters: rights asked for while the plants are built, recorder and arming side by side, clock last.
 """
 
 import contextlib
@@ -114,12 +114,14 @@ class Session:
             self._block, self.ring = launch.create_ring(shape)
         self._thread = threading.Thread(target=self._run, name="hilrunner-loop", daemon=True)
         self._thread.start()
+        self.axes = build_axes(
+            self.loaded, options.engine
+        )  # while the thread asks for its rights and tries its wake-ups
         self._rights_known.wait()
         if self._failure is not None:
             raise self._failure
         if options.require_realtime:
             host.require_realtime(self.grants, self.host_report.findings)
-        self.axes = build_axes(self.loaded, options.engine)
         if self._block is not None:
             self.recorder = launch.start_recorder(self._recorder_config(shape), self.ring)
         self.armed = arm(

@@ -46,7 +46,7 @@ enabled = false
 
 
 _AXES = []
-axes.default_substep_count = lambda plant, period_s: (
+axes.stored_substep_count = lambda plant, period_s: (
     14
 )  # the plant never steps here; its stability takes minutes uncompiled
 
