@@ -16,6 +16,12 @@ def pytest_collection_modifyitems(items):
             item.add_marker(pytest.mark.vcan)
 
 
+def pytest_runtest_logreport(report):
+    """What failed is told at once: a lab that has to be switched off must not take the reasons with it."""
+    if report.failed:
+        print(f"\n{report.nodeid} ({report.when}, {report.duration:.1f} s):\n{report.longreprtext}", flush=True)
+
+
 @pytest.fixture(autouse=True)
 def real_vcan0():
     """A vcan0 that is up before and after every test."""

@@ -3,6 +3,7 @@
 import pytest
 
 from hilrunner.base import compiled
+from tests.tools import vcan_bench
 
 pytestmark = pytest.mark.vcan
 pytest_plugins = ["pytester"]
@@ -14,7 +15,7 @@ import pytest
 
 def test_lifts(hil_bench):
     # a slow period: the lab has one core, and the test needs some of it
-    bench = hil_bench(options=["--engine", "reference", "--period-us", "5000", "--priority", "0"])
+    bench = hil_bench(profile="amc-lift.toml", options=["--engine", "reference", "--period-us", "5000", "--priority", "0"])
     command = bench.send_every(0.005, "VALVE_COMMAND_1", control="Active", valve_setpoint=50)
     bench.wait_until(lambda b: b.signal("MOTION_1", "rod_velocity_mmps") > 5, timeout_s=60)
     command.update(valve_setpoint=0)
@@ -36,6 +37,7 @@ def test_refused(hil_bench):
 
 def test_a_bench_test_in_a_few_lines(pytester, monkeypatch):
     monkeypatch.setenv("HILRUNNER_CACHE", str(CACHE))
+    vcan_bench.patient_profile(pytester.path)
     pytester.makepyfile(TEN_LINES)
     result = pytester.runpytest_subprocess("--timeout=280", "--durations=0")
     result.assert_outcomes(passed=1, failed=1)

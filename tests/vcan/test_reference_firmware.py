@@ -93,8 +93,8 @@ def finished(process) -> dict:
 
 
 def test_it_drives_the_bench_and_ends_after_its_duration(firmware, bench):
-    process = started(firmware, "--duration-s", "4", "--ramp-s", "0.5", "--period-us", "5000")
-    bench.run(20, until=lambda _: process.poll() is not None)
+    process = started(firmware, "--duration-s", "10", "--ramp-s", "0.5", "--period-us", "5000")
+    bench.run(60, until=lambda _: process.poll() is not None)
     report = finished(process)
     bench.period()
     assert process.returncode == 0 and report["exit_code"] == 0

@@ -24,7 +24,7 @@ def shape():
 def test_a_full_transmit_queue_costs_frames_not_the_run(bench, shape):
     """ENOBUFS: more frames than the bus takes are counted as not sent; the loop neither blocks nor ends."""
     running = bench()
-    shape("tbf", "rate", "40kbit", "burst", "32", "limit", "48")
+    shape("tbf", "rate", "20kbit", "burst", "32", "limit", "48")
     time.sleep(2.0)
     assert running.end(signal.SIGINT) == exit_codes.PASSED
     summary = running.summary()
