@@ -1,10 +1,14 @@
 """Run the bench: a firmware on CAN drives the simulated actuator in a fixed-period loop, and everything is logged."""
 
 import argparse
+import os
 import time
 from pathlib import Path
 
 _BEGIN_MONO_NS = time.monotonic_ns()
+os.environ.setdefault(
+    "OPENBLAS_NUM_THREADS", "1"
+)  # read when numpy is first imported: no pool of threads beside the loop
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
