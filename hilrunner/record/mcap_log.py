@@ -20,6 +20,9 @@ from hilrunner.record import chunk, schemas
 from hilrunner.record.mcap_file import McapFile
 
 CHUNK_SIZE_BYTES = 1 << 20  # pending bytes that close a chunk
+BLOCK_SIZE_BYTES = (
+    1 << 14
+)  # of a chunk, before compression: about 24 ticks of one axis; 0.8 % larger than one block a chunk
 COMPRESSION_LEVEL = 1  # zstd; measured on ticks with frames: level 3 costs a third more time for 2 % fewer bytes
 
 LOG_LEVEL_INFO = 20
@@ -172,7 +175,7 @@ class LogWriter:
         data, pairs = chunk.assemble(self._blocks)
         times = [b.messages["log_real_ns"] for b in self._blocks]
         self._file.add_chunk(
-            compressed=self._compressor.compress(data),
+            compressed=self._compress(data),
             compression="zstd",
             uncompressed_size=len(data),
             uncompressed_crc=zlib.crc32(data),
@@ -184,6 +187,17 @@ class LogWriter:
         self._blocks.clear()
         self._pending_bytes = 0
         self.write_stall_ns_max = max(self.write_stall_ns_max, time.monotonic_ns() - begin_ns)
+
+    def _compress(self, data: np.ndarray) -> bytes:
+        """One Zstandard frame in short blocks: of a file cut inside a chunk every block before the cut can be read."""
+        stream = self._compressor.compressobj(size=len(data))
+        parts = []
+        for start in range(0, len(data), BLOCK_SIZE_BYTES):
+            parts.append(stream.compress(data[start : start + BLOCK_SIZE_BYTES]))
+            if start + BLOCK_SIZE_BYTES < len(data):
+                parts.append(stream.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK))
+        parts.append(stream.flush())
+        return b"".join(parts)
 
     def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
         """Finish the file; tables given here stand beside earlier ones of the same name and replace them for a reader."""

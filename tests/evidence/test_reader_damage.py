@@ -1,19 +1,24 @@
 """Cut anywhere, flip anything: what lies before the damage is recovered, and nothing ends in a traceback."""
 
+import io
 import zlib
 
 import lz4.frame
 import numpy as np
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType
 
 from hilrunner.base import records
 from hilrunner.base.errors import LogError
 from hilrunner.evidence.chunk import _unpack_lz4_partly
 from hilrunner.evidence.reader import read_run
+from hilrunner.record.mcap_log import BLOCK_SIZE_BYTES
 from tests.tools import synthetic_run
 from tests.tools.copy_log import copy_with
 
@@ -44,6 +49,39 @@ def ticks_before(data: bytes, cut: int, ticks: np.ndarray) -> int:
         place = data.index(row.tobytes()[records.MESSAGE_OFFSET :], place)
         ends.append(place + records.TICK.itemsize - records.MESSAGE_OFFSET)
     return int(np.searchsorted(ends, cut, side="right"))
+
+
+def chunks(data: bytes, ticks: np.ndarray) -> list[tuple[int, bytes, np.ndarray]]:
+    """Of every chunk of a whole file: where its compressed bytes are, those bytes, where its ticks end when uncompressed."""
+    found, first = [], 0
+    for record in StreamReader(io.BytesIO(data), emit_chunks=True).records:
+        if not isinstance(record, Chunk):
+            continue
+        content = zstandard.ZstdDecompressor().decompress(record.data, max_output_size=record.uncompressed_size)
+        ends, place = [], 0
+        for row in ticks[first:]:
+            raw = row.tobytes()[records.MESSAGE_OFFSET :]
+            place = content.find(raw, place)
+            if place < 0:
+                break
+            ends.append(place + len(raw))
+        first += len(ends)
+        found.append((data.index(record.data), record.data, np.array(ends)))
+    assert first == len(ticks)
+    return found
+
+
+def ticks_in_whole_blocks(parts: list[tuple[int, bytes, np.ndarray]], cut: int) -> int:
+    """Ticks whose compressed block lies wholly before the cut."""
+    count = 0
+    for offset, packed, ends in parts:
+        if offset + len(packed) <= cut:
+            count += len(ends)
+            continue
+        size = len(zstandard.ZstdDecompressor().decompressobj().decompress(packed[: max(0, cut - offset)]))
+        assert size % BLOCK_SIZE_BYTES == 0, "a block is not where the writer promises it"
+        return count + int(np.searchsorted(ends, size, side="right"))
+    return count
 
 
 def chunk_starts(path) -> list[int]:
@@ -80,9 +118,12 @@ def test_a_cut_keeps_every_whole_tick_before_it(source, tmp_path, kind):
         for cut, count in counts[:: CUTS // 5]:
             assert count == ticks_before(data, cut, whole)
     else:
-        # compressed: at most the block that was hit is lost
+        # compressed: no more than the block that was hit is lost
         lost = [round(cut / len(data) * len(whole)) - count for cut, count in counts]
-        assert max(lost) < (len(whole) / 4 if kind == "own" else 150)
+        assert max(lost) < 150
+    if kind == "own":
+        parts = chunks(data, whole)
+        assert [count for _, count in counts] == [ticks_in_whole_blocks(parts, cut) for cut, _ in counts]
 
 
 @settings(max_examples=60, deadline=None)
