@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--duration", type=float, metavar="S", help="full model: only so many seconds from the start")
     parser.add_argument(
-        "--rtol", type=float, default=1e-9, help="full model: IDA's relative tolerance (default: %(default)g)"
+        "--rtol", type=float, default=1e-11, help="full model: IDA's relative tolerance (default: %(default)g)"
     )
 
 

@@ -12,7 +12,7 @@ from hilrunner.base.units import M_PER_MM, PA_PER_MPA
 from hilrunner.evidence.facts import RunFacts, read_facts
 from hilrunner.evidence.reader import Run, read_run
 from hilrunner.evidence.rebuild import engine_of, stimulus_of, unpacked_profile
-from hilrunner.evidence.replay_dae import AxisDae, replay_dae
+from hilrunner.evidence.replay_dae import IDA_RTOL, AxisDae, replay_dae
 from hilrunner.evidence.replay_exact import ExactReplay, replay_exact
 from hilrunner.evidence.report import finite
 from hilrunner.setup.axes import build_axes, period_s, reference_plants
@@ -29,7 +29,7 @@ class ReplayOptions:
 
     part: str = BOTH
     duration_s: float | None = None
-    rtol: float = 1e-9
+    rtol: float = IDA_RTOL
     engine: str | None = None
 
 
