@@ -2,7 +2,8 @@
 
 Kaps and Rentrop's four-stage Rosenbrock method with Shampine's coefficients (P. Kaps, P. Rentrop, Numer. Math. 33, 1979;
 L. F. Shampine, ACM TOMS 8, 1982): A-stable, no Newton iteration. One Jacobian a step by forward differences, one LU
-decomposition, three evaluations. It lives in the bench only: it exists to be compared with.
+decomposition, three evaluations. It lives in the bench only: it exists to be compared with. In `lift` every evaluation solves
+the line pressures to the end, while RK4 carries its guess from stage to stage: `paper` and `lift-lines` compare the methods alone.
 """
 
 import numpy as np

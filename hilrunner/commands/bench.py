@@ -1,7 +1,7 @@
 """Plant step, loop, capacity, log and disturbances on this host, against named rivals in the same run, taken in turns on the same core.
 
 Prints tables (or one JSON object) with the host's findings and never judges: a slow host is a fact, not an error. Exit code 0.
-Rivals: numpy, onnxruntime, torch (if installed), SUNDIALS IDA, scipy Radau, cyclictest (Debian package rt-tests).
+Rivals: numpy, onnxruntime, torch (if installed), a compiled Rosenbrock method, SUNDIALS IDA, scipy Radau, cyclictest (Debian package rt-tests).
 """
 
 import argparse

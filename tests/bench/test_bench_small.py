@@ -2,10 +2,13 @@
 
 import json
 
+import numpy as np
 import pytest
 
 from hilrunner import cli
-from hilrunner.bench import capacity, cyclictest
+from hilrunner.base import status
+from hilrunner.bench import capacity, cyclictest, plant_cases
+from hilrunner.bench.rosenbrock import Rosenbrock
 
 SMALL = ["--rounds", "1", "--slice-s", "0.05", "--log-s", "0.3"]
 
@@ -44,7 +47,22 @@ def test_step_part(capsys):
     for name, pressure_mpa in (("paper", 1e-3), ("lift", 1e-2), ("lift-lines", 1e-4)):
         cases = tables[f"plant_{name}"]["cases"]
         assert all(case["pressure_error_mpa"] < pressure_mpa for case in cases.values()), name
-        assert any("Radau" in case for case in cases) and any("IDA" in case for case in cases)
+        for rival in ("Radau", "IDA, rtol 1e-09", "Rosenbrock", "exact, RK4 x20"):
+            assert any(rival in case for case in cases), rival
+        notes = " ".join(tables[f"plant_{name}"]["notes"])
+        assert "us allowed" in notes and "MPa allowed" in notes
+
+
+@pytest.mark.parametrize("circuit", [status.CIRCUIT_PAPER, status.CIRCUIT_LIFT, status.CIRCUIT_LIFT_LINES])
+def test_the_rosenbrock_rival_is_of_order_four(circuit):
+    """A rival with a mistake in it would be no rival."""
+    start = plant_cases.run(plant_cases.plant(circuit, substep_count=200), np.full(100, 0.5))[0][-1]
+    held, counts = np.full(20, 0.55), (16, 32, 64)
+    exact, _ = plant_cases.run(plant_cases.plant(circuit, substep_count=320), held, start=start)
+    rivals = [Rosenbrock(plant_cases.plant(circuit), held, start, count)() for count in counts]
+    errors = [np.sqrt(np.mean((states - exact)[:, [2, 3]] ** 2)) for states in rivals]
+    assert -np.polyfit(np.log(counts), np.log(errors), 1)[0] == pytest.approx(4.0, abs=0.1), errors
+    assert errors[-1] < 50.0
 
 
 def test_capacity_part(capsys, monkeypatch):
