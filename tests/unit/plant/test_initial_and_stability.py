@@ -1,6 +1,7 @@
 """States to start from are steady; refusals name what is wrong; stability limits match what integration does."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import plant_cases
@@ -121,6 +122,16 @@ def test_integration_is_clean_at_the_limit_and_breaks_well_above_it():
     chosen = stability.default_substep_count(plant_cases.plant(PAPER), 1e-3)
     assert np.abs(spool(chosen) - fine)[100:].max() < 1e-9
     assert not np.abs(spool(8) - fine)[100:].max() < 1e-7
+
+
+def test_a_hard_damping_end_stop_makes_the_stalled_rod_the_stiffest_state():
+    """Hunt-Crossley damping grows with depth: it counts where full pressure presses the rod in, and nowhere else."""
+    ours = plant_cases.plant(status.CIRCUIT_LIFT)
+    harder = plant_cases.plant(status.CIRCUIT_LIFT, overrides={"end_stop_damping_spmm": 5e-3})
+    assert stability.stability_limit_s(ours) == pytest.approx(76.7e-6, rel=0.01)
+    assert stability.stability_limit_s(harder) == pytest.approx(46.3e-6, rel=0.01)
+    kept_away = replace(harder, position_range_m=(0.01, 1.99))
+    assert stability.stability_limit_s(kept_away) > 70e-6
 
 
 def test_tiny_dead_volume_needs_tiny_steps_and_a_range_of_positions():
