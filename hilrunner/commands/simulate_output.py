@@ -118,12 +118,19 @@ def text(found: dict) -> str:
 def write_log(path: Path, loaded: LoadedProfile, run: Simulated) -> None:
     """A log like that of a run, label 'simulated clock'; it replays bit for bit."""
     from hilrunner.record.mcap_log import LogWriter
-    from hilrunner.setup.run_manifest import run_attachments, run_metadata
+    from hilrunner.setup.run_manifest import (
+        STIMULUS_ATTACHMENT,
+        STIMULUS_MEDIA_TYPE,
+        run_attachments,
+        run_metadata,
+        stimulus_bytes,
+    )
 
     attachments = []
     for one in run_attachments(loaded, run.engine):
         data = Path(one.path).read_bytes() if one.path else (one.text or "").encode()
         attachments.append((one.name, one.media_type, data))
+    attachments.append((STIMULUS_ATTACHMENT, STIMULUS_MEDIA_TYPE, stimulus_bytes(run.armed.bench.stimulus)))
     metadata = run_metadata(loaded, run.engine, [], None)
     metadata["run"] |= {"exit_reason": status.EXIT_NAMES[status.EXIT_STIMULUS_END], "stimulus": "schedule"}
     names = [axis.name for axis in loaded.profile.axis]

@@ -11,9 +11,9 @@ from hilrunner.base import compiled, records, status
 from hilrunner.base.errors import LogError
 from hilrunner.evidence.facts import PROFILE_ATTACHMENT
 from hilrunner.evidence.reader import Run
+from hilrunner.realtime import faults as fault_kinds
 from hilrunner.setup.profile import LoadedProfile, load_profile
-
-STIMULUS_ATTACHMENT = "stimulus.npy"
+from hilrunner.setup.run_manifest import STIMULUS_ATTACHMENT
 
 
 @contextmanager
@@ -43,7 +43,11 @@ def engine_of(run: Run, override: str | None = None) -> int:
 
 
 def stimulus_of(run: Run, notes: list[str]) -> np.ndarray | None:
-    """Valve commands that took the place of the bus, float64[tick, axis]; None for a run that was commanded by frames."""
+    """Valve commands that took the place of the bus, float64[tick, axis]; None for a run that was commanded by frames.
+
+    From the log's attachment, else (logs of other programs or versions) from the logged commands, which are those behind
+    the valve faults: see `spend_valve_faults`.
+    """
     attached = run.attachments.get(STIMULUS_ATTACHMENT)
     if attached is not None:
         return _from_attachment(run, attached.data)
@@ -74,13 +78,28 @@ def _from_attachment(run: Run, data: bytes) -> np.ndarray:
         file.seek(0)
         try:
             stimulus = np.load(file, allow_pickle=False)
-        except (ValueError, OSError, EOFError) as error:
+        except (ValueError, OSError, EOFError, MemoryError) as error:
             raise LogError(str(run.path), f"its stimulus cannot be read: {error}") from None
+    if not isinstance(stimulus, np.ndarray) or len(stimulus.shape) != 2 or not len(stimulus):
+        raise LogError(str(run.path), "its stimulus is no table of commands", f"(ticks, {len(run.axis_names)}) float64")
     if stimulus.ndim != 2 or stimulus.dtype != np.float64 or stimulus.shape[1] != max(len(run.axis_names), 1):
         raise LogError(
             str(run.path), f"its stimulus has shape {stimulus.shape}", f"(ticks, {len(run.axis_names)}) float64"
         )
     return stimulus
+
+
+def spend_valve_faults(run: Run, faults: np.ndarray, notes: list[str]) -> None:
+    """Let the valve faults of a bench do nothing where its commands are logged ones, on which they have acted already.
+
+    They stay active, so that flags stay what they were.
+    """
+    spent = np.isin(faults["kind"], (fault_kinds.VALVE_STUCK, fault_kinds.VALVE_GAIN))
+    if STIMULUS_ATTACHMENT in run.attachments or not spent.any():
+        return
+    faults["kind"][spent] = fault_kinds.VALVE_GAIN
+    faults["value"][spent] = 1.0
+    notes.append("the logged commands are those behind the valve faults, which are not applied again")
 
 
 def _fill_skipped(stimulus: np.ndarray, tick: np.ndarray) -> None:

@@ -142,6 +142,7 @@ def as_dict(replay: Replay) -> dict:
             **asdict(exact),
             "identical": exact.identical,
             "speed_factor": exact.speed_factor,
+            "processor_factor": exact.processor_factor,
         },
         "dae": [
             {

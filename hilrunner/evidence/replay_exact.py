@@ -13,7 +13,7 @@ import numpy as np
 from hilrunner.base import records
 from hilrunner.evidence.facts import RunFacts
 from hilrunner.evidence.reader import Run
-from hilrunner.evidence.rebuild import socket_frames, stimulus_of, version_notes
+from hilrunner.evidence.rebuild import socket_frames, spend_valve_faults, stimulus_of, version_notes
 from hilrunner.realtime.cycle import run_offline
 from hilrunner.setup.arm import arm_offline
 from hilrunner.setup.profile import LoadedProfile, Profile
@@ -46,6 +46,7 @@ class ExactReplay:
     first: Difference | None
     differing: dict[str, int]  # "topic field" -> ticks that differ
     wall_s: float
+    processor_s: float  # what the replay's own thread took of it; less where other programs share the core
     simulated_s: float
     notes: tuple[str, ...]
 
@@ -58,6 +59,11 @@ class ExactReplay:
     def speed_factor(self) -> float:
         """Times faster than real time."""
         return self.simulated_s / self.wall_s if self.wall_s > 0 else 0.0
+
+    @property
+    def processor_factor(self) -> float:
+        """Simulated seconds a second of processor time."""
+        return self.simulated_s / self.processor_s if self.processor_s > 0 else 0.0
 
 
 def replay_exact(
@@ -75,6 +81,8 @@ def replay_exact(
     ticks = log.tick[:count]
     stimulus = stimulus_of(log, notes)
     armed = arm_offline(loaded, engine, stimulus)
+    if stimulus is not None:
+        spend_valve_faults(log, armed.bench.faults, notes)
     first_frame, frames, sizes = _frames(log, ticks, notes)
     number = ticks["tick"].astype(np.int64)
     periods = 1 + ticks["skipped_count"].astype(np.int64)
@@ -91,7 +99,7 @@ def replay_exact(
         )
 
     run(0, 0)  # compile, or load what is compiled, before the clock starts
-    begin = time.perf_counter()
+    begin, begin_processor = time.perf_counter(), time.thread_time()
     done = 0
     for start in range(0, count, BLOCK_TICKS):
         stop = min(start + BLOCK_TICKS, count)
@@ -100,10 +108,11 @@ def replay_exact(
             notes.append(f"the state left the finite numbers at tick {int(number[done - 1])}")
             break
         progress(stop / count)
-    wall_s = time.perf_counter() - begin
+    wall_s, processor_s = time.perf_counter() - begin, time.thread_time() - begin_processor
     first, differing = _compare(log, command[:done], state[:done], done)
     span = int(number[-1]) + 1 if count else 0
-    return ExactReplay(done, len(log.tick), first, differing, wall_s, span * facts.period_ns * 1e-9, tuple(notes))
+    simulated_s = span * facts.period_ns * 1e-9
+    return ExactReplay(done, len(log.tick), first, differing, wall_s, processor_s, simulated_s, tuple(notes))
 
 
 def _usable_ticks(run: Run, notes: list[str]) -> int:

@@ -31,7 +31,8 @@ def exact_text(exact: ExactReplay) -> str:
     lines = [exact_sentence(exact)]
     lines += [f"  {name}: {count} ticks differ" for name, count in exact.differing.items()]
     lines.append(
-        f"  {exact.simulated_s:.1f} s replayed in {exact.wall_s:.2f} s: {exact.speed_factor:.0f} times real time"
+        f"  {exact.simulated_s:.1f} s replayed in {exact.wall_s:.2f} s: {exact.speed_factor:.0f} times real time "
+        f"({exact.processor_s:.2f} s of processor: {exact.processor_factor:.0f} times)"
     )
     lines += [f"  {note}" for note in exact.notes]
     return "\n".join(lines)

@@ -5,11 +5,14 @@ beside itself in any folder they are unpacked to.
 """
 
 import hashlib
+import io
 import json
 import subprocess
 import sys
 from importlib import metadata as package_metadata
 from pathlib import Path
+
+import numpy as np
 
 import hilrunner
 from hilrunner.base import compiled, status
@@ -20,6 +23,8 @@ from hilrunner.setup.contract import dbc_path
 from hilrunner.setup.profile import LoadedProfile
 
 PROFILE_ATTACHMENT = "profile.toml"
+STIMULUS_ATTACHMENT = "stimulus.npy"
+STIMULUS_MEDIA_TYPE = "application/octet-stream"
 _PACKAGES = ("numpy", "numba", "llvmlite", "python-can", "onnxruntime", "mcap")
 
 
@@ -58,8 +63,11 @@ def run_metadata(loaded: LoadedProfile, engine: int, grants: list, report: host.
     return tables
 
 
-def run_attachments(loaded: LoadedProfile, engine: int) -> list[Attachment]:
-    """Profile, DBC, trained models and their data sheets."""
+def run_attachments(loaded: LoadedProfile, engine: int, stimulus_path: Path | None = None) -> list[Attachment]:
+    """Profile, DBC, trained models; and the file of the commands that take the place of the bus, where they do.
+
+    The commands of skipped periods stand nowhere else, and a logged command is the one behind the valve faults.
+    """
     dbc = dbc_path(loaded)
     found = [
         Attachment(PROFILE_ATTACHMENT, "application/toml", text=loaded.text),
@@ -69,7 +77,16 @@ def run_attachments(loaded: LoadedProfile, engine: int) -> list[Attachment]:
     if engine != status.ENGINE_REFERENCE:
         for name, path in zip(names, model_paths(loaded), strict=True):
             found.append(Attachment(Path(name).name, "application/onnx", path=str(path)))
+    if stimulus_path is not None:
+        found.append(Attachment(STIMULUS_ATTACHMENT, STIMULUS_MEDIA_TYPE, path=str(stimulus_path)))
     return found
+
+
+def stimulus_bytes(stimulus: np.ndarray) -> bytes:
+    """Valve commands, float64[tick, axis], as a NumPy file."""
+    file = io.BytesIO()
+    np.save(file, np.ascontiguousarray(stimulus, dtype=np.float64), allow_pickle=False)
+    return file.getvalue()
 
 
 def git_revision() -> str:

@@ -28,7 +28,7 @@ from hilrunner.setup.arm import Armed, arm, local_ring, ring_shape
 from hilrunner.setup.axes import AxisSet, build_axes, period_ns, reference_plants
 from hilrunner.setup.bus import OpenBus, errno_text, open_bus
 from hilrunner.setup.profile import LoadedProfile
-from hilrunner.setup.run_manifest import run_attachments, run_metadata
+from hilrunner.setup.run_manifest import run_attachments, run_metadata, stimulus_bytes
 
 _START_DELAY_NS = 20_000_000  # from "everything is ready" to the deadline of tick 0
 _FOREVER = 1 << 62
@@ -87,6 +87,7 @@ class Session:
         self.armed: Armed
         self.ring: ring_layout.Ring
         self._block: launch.RingBlock | None = None
+        self._stimulus_path: Path | None = None
         self._go = threading.Event()
         self._rights_known = threading.Event()
         self._thread: threading.Thread | None = None
@@ -138,6 +139,7 @@ class Session:
         run_loop(self.armed.bench, NO_BUS, 0, 0)
         if self.recorder is not None:
             self.recorder.wait_ready(_RECORDER_WAIT_S)
+            self._remove_stimulus()  # the log is open and holds it
         self._drain_stale_frames()
         self.start_mono_ns = time.monotonic_ns() + _START_DELAY_NS
         self._store(ring_layout.WORD_PERIOD_NS, period_ns(self.loaded))
@@ -230,6 +232,7 @@ class Session:
         """Undo a start that failed: no thread, no recorder, no half-written log."""
         self._cancelled = True
         self._go.set()
+        self._remove_stimulus()
         if self.recorder is not None:
             self.recorder.process.kill()
             self.recorder.process.wait()
@@ -252,10 +255,24 @@ class Session:
             parent_pid=os.getpid(),
             log_path=str(self.options.log_path) if self.options.log_path else None,
             metadata=run_metadata(self.loaded, self.options.engine, self.grants, self.host_report),
-            attachments=run_attachments(self.loaded, self.options.engine),
+            attachments=run_attachments(self.loaded, self.options.engine, self._write_stimulus()),
             live_port=self.options.live_port,
             check=self._check_config(),
         )
+
+    def _write_stimulus(self) -> Path | None:
+        """The commands in place of the bus as a file, until the recorder has put it into the log."""
+        if self.options.stimulus is None or self.options.log_path is None:
+            return None
+        handle, path = tempfile.mkstemp(prefix="hilrunner-stimulus-", suffix=".npy")
+        self._stimulus_path = Path(path)
+        with os.fdopen(handle, "wb") as file:
+            file.write(stimulus_bytes(self.options.stimulus))
+        return self._stimulus_path
+
+    def _remove_stimulus(self) -> None:
+        if self._stimulus_path is not None:
+            self._stimulus_path.unlink(missing_ok=True)
 
     def _check_config(self) -> CheckConfig | None:
         rules = self.loaded.profile.crosscheck

@@ -2,6 +2,10 @@
 
 import json
 import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -183,6 +187,82 @@ def test_the_command_prints_json_and_speed(recorded, tmp_path, capsys):
     assert page.read_text().count("<figure>") >= 8
     assert cli.main(["replay", str(path), "--only", "exact"]) == 0
     assert re.search(r"replayed in [\d.]+ s: \d+ times real time", capsys.readouterr().out)
+
+
+SKIPPING = bench_run.Plan(tick_count=900, skips={300: 3, 600: 7})
+NEVER_LATE = bench_run.Plan(tick_count=900)
+VALVE_FAULTS = """
+[[fault]]
+kind = "valve-gain"
+axis = "luffing"
+value = 0.7
+at_s = 0.2
+
+[[fault]]
+kind = "valve-stuck"
+axis = "luffing"
+value = 0.3
+at_s = 0.5
+duration_s = 0.1
+"""
+
+
+def smooth_stimulus(tick_count=900):
+    """A command that is another one in every period, so that a skipped one cannot be guessed."""
+    return 0.5 * np.sin(2 * np.pi * 1.7 * np.arange(tick_count) * 1e-3)[:, None]
+
+
+@pytest.mark.parametrize("plan", [NEVER_LATE, SKIPPING], ids=["no skips", "skips"])
+@pytest.mark.parametrize("faults", ["", VALVE_FAULTS], ids=["no faults", "valve faults"])
+def test_a_stimulus_in_the_log_is_replayed_bit_for_bit(tmp_path, plan, faults):
+    path = tmp_path / "stimulus.mcap"
+    arrays = bench_run.make_run(path, plan, bench_run.PROFILE + faults, stimulus=smooth_stimulus())
+    assert len(arrays["can"]) == 0 and np.ptp(arrays["command"]["valve_command"]) > 0.5
+    result = exact(path)
+    assert result.exact.identical, result.exact
+    assert result.exact.notes == ()
+
+
+def test_logged_commands_stand_in_for_a_missing_stimulus_and_meet_valve_faults_once(tmp_path):
+    path = tmp_path / "bare.mcap"
+    text = bench_run.PROFILE + VALVE_FAULTS
+    arrays = bench_run.make_run(path, NEVER_LATE, text, stimulus=smooth_stimulus(), attach=False)
+    assert (arrays["state"]["flags"] & status.FLAG_FAULT_ACTIVE).any()
+    result = exact(path)
+    assert result.exact.identical, result.exact
+    assert any("not applied again" in note for note in result.exact.notes)
+
+
+def test_without_its_stimulus_a_run_that_skipped_differs_and_says_why(tmp_path):
+    path = tmp_path / "bare.mcap"
+    bench_run.make_run(path, SKIPPING, stimulus=smooth_stimulus(), attach=False)
+    result = exact(path)
+    assert result.exact.first.tick == 300
+    assert any("skipped periods are not in the log" in note for note in result.exact.notes)
+
+
+@pytest.mark.parametrize(
+    "damage", [lambda data: data[:40], lambda data: b"", lambda data: data.replace(b"900", b"000")], ids=range(3)
+)
+def test_a_damaged_stimulus_is_refused_in_words(tmp_path, monkeypatch, damage):
+    path, honest = tmp_path / "damaged.mcap", bench_run.stimulus_bytes
+    monkeypatch.setattr(bench_run, "stimulus_bytes", lambda stimulus: damage(honest(stimulus)))
+    bench_run.make_run(path, NEVER_LATE, stimulus=smooth_stimulus())
+    with pytest.raises(LogError, match="its stimulus"):
+        exact(path)
+
+
+def test_a_run_without_bus_carries_its_stimulus_and_leaves_no_file_behind(tmp_path):
+    log = tmp_path / "run.mcap"
+    before = set(Path(tempfile.gettempdir()).glob("hilrunner-stimulus-*"))
+    words = ["--stimulus", "lift-profile-2ms", "--duration", "1", "--priority", "0", "--log", str(log)]
+    done = subprocess.run([sys.executable, "-m", "hilrunner", *words], capture_output=True, text=True)
+    assert done.returncode in (0, 1, 3), (
+        done.stderr
+    )  # a busy host may miss deadlines: the replay must hold all the more
+    assert set(Path(tempfile.gettempdir()).glob("hilrunner-stimulus-*")) == before
+    assert len(read_run(log).attachments["stimulus.npy"].data) > 8 * 20_000
+    assert exact(log).exact.identical
 
 
 def test_what_cannot_be_replayed_is_refused_in_words(recorded, tmp_path, capsys):

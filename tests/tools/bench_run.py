@@ -4,7 +4,7 @@ The frames are made by cantools and autosar-e2e, the ticks skip and miss by plan
 """
 
 import tempfile
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ from hilrunner.realtime.cycle import run_offline
 from hilrunner.record.mcap_log import LogWriter
 from hilrunner.setup.arm import arm_offline
 from hilrunner.setup.profile import LoadedProfile, load_profile
-from hilrunner.setup.run_manifest import run_attachments, run_metadata
+from hilrunner.setup.run_manifest import run_attachments, run_metadata, stimulus_bytes
 from tests.tools import contract
 
 PERIOD_NS = 1_000_000
@@ -80,22 +80,33 @@ def profile_at(folder: str | Path, text: str = PROFILE) -> LoadedProfile:
 
 
 def make_run(
-    path: str | Path, plan: Plan = EVENTFUL, text: str = PROFILE, engine: int = status.ENGINE_REFERENCE, alter=None
+    path: str | Path,
+    plan: Plan = EVENTFUL,
+    text: str = PROFILE,
+    engine: int = status.ENGINE_REFERENCE,
+    alter=None,
+    stimulus: np.ndarray | None = None,
+    attach: bool = True,
 ) -> dict[str, np.ndarray]:
     """Run a plan and write its log; returns the arrays written.
 
     Args:
         alter: called with the loaded profile after the log's attachments are fixed and before the bench is built; what it
             returns is what runs (a bench that is not the one its log claims).
+        stimulus: float64[tick, 1], commands in place of frames. attach: put it into the log, as a run does.
     """
     with tempfile.TemporaryDirectory() as folder:
         loaded = profile_at(folder, text)
-        attachments = [_attachment(one) for one in run_attachments(loaded, engine)]
+        stimulus_path = None
+        if stimulus is not None and attach:
+            stimulus_path = Path(folder) / "given.npy"
+            stimulus_path.write_bytes(stimulus_bytes(stimulus))
+        attachments = [_attachment(one) for one in run_attachments(loaded, engine, stimulus_path)]
         metadata = run_metadata(loaded, engine, [], None)
-        armed = arm_offline(loaded if alter is None else alter(loaded), engine)
+        armed = arm_offline(loaded if alter is None else alter(loaded), engine, stimulus)
     tick = _ticks(plan)
     number = tick["tick"].astype(np.int64)
-    rx, frames, sizes, first = _frames(plan, tick)
+    rx, frames, sizes, first = _frames(plan if stimulus is None else replace(plan, silent=(0, plan.tick_count)), tick)
     miss, misses, forced = _misses(plan, number)
     command = records.allocate(records.COMMAND, len(tick)).reshape(-1, 1)
     state = records.allocate(records.STATE, len(tick)).reshape(-1, 1)
