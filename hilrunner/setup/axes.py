@@ -67,7 +67,8 @@ def reference_plants(loaded: LoadedProfile) -> list[AxisPlant]:
 
 def truth_substep_count(plant: AxisPlant, period: float) -> int:
     """RK4 steps a period (s) of a reference that judges others: at least the plant's own, none above TRUTH_STEP_S."""
-    return max(plant.substep_count, default_substep_count(plant, period), math.ceil(period / TRUTH_STEP_S - 1e-9))
+    stable = plant.substep_count or stored_substep_count(plant, period)
+    return max(stable, math.ceil(period / TRUTH_STEP_S - 1e-9))
 
 
 def initial_states(loaded: LoadedProfile, plants: list[AxisPlant], waves: list[np.ndarray]) -> np.ndarray:
