@@ -1,5 +1,7 @@
 """`hilrunner run` with bad input: one clear line on stderr that names place, value, limit or remedy, the documented exit code, nothing written."""
 
+import gc
+
 import pytest
 
 from hilrunner.base import exit_codes
@@ -59,6 +61,7 @@ def test_a_profile_that_cannot_be_built(in_an_empty_folder, capsys, change, told
     text = capsys.readouterr().err.strip().splitlines()[-1]
     for word in told:
         assert word in text, text
+    assert gc.isenabled(), "rights are given back by a start that failed"
 
 
 def test_a_foreign_command_word(capsys):
