@@ -123,10 +123,12 @@ def _dae(run: Run, loaded: LoadedProfile, engine: int, options: ReplayOptions, p
 
 
 def tolerances(rules: CrossCheck) -> np.ndarray:
-    """Largest errors allowed, float64[8]: x, v, p1, p2 of the trajectory, then of one step; infinite: not watched."""
+    """Largest errors allowed, float64[12]: x, v, p1, p2 of the trajectory, of one step, sustained; infinite: not watched."""
     pressure, position = rules.pressure_tolerance_mpa * PA_PER_MPA, rules.position_tolerance_mm * M_PER_MM
     step = rules.one_step_pressure_tolerance_mpa * PA_PER_MPA
-    return np.array([position, np.inf, pressure, pressure, np.inf, np.inf, step, step])
+    sustained = rules.sustained_pressure_tolerance_mpa * PA_PER_MPA
+    free = np.inf
+    return np.array([position, free, pressure, pressure, free, free, step, step, free, free, sustained, sustained])
 
 
 def as_dict(replay: Replay) -> dict:

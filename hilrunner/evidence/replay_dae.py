@@ -95,7 +95,7 @@ def replay_dae(
     Args:
         log: read with all columns. axis, index: the axis and its place in the profile.
         plants: reference plants of every axis. engine_plant: the axis' plant as the run had it (its networks' range).
-        initial_state: float64[10] before the first tick. limits: float64[8], tolerances as in record.crosscheck.
+        initial_state: float64[10] before the first tick. limits: float64[12], tolerances as in record.crosscheck.
         stimulus: a stimulus drove the run, not frames: its command moves on in skipped periods.
         tick_limit: compare the first so many logged ticks only.
     """

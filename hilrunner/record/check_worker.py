@@ -207,24 +207,20 @@ class CheckWorker:
         failed_tick = int(walk.number[WALK_FAILED_TICK])
         if failed_tick >= 0 and not self._told[batch.axis]:
             self._told[batch.axis] = True
-            self._failures.append(Failure(failed_tick, self._failure_text(batch.axis, check, failed_tick, walk)))
+            self._failures.append(Failure(failed_tick, self._failure_text(batch.axis, failed_tick, walk)))
         every = self._settings.record_decimation
         kept = (check["tick"] % every == 0) | (check["tick"] == max(failed_tick, 0))
         self._done.append(CheckResult(batch.axis, check[kept], batch.log_real_ns[kept], batch.publish_real_ns[kept]))
 
-    def _failure_text(self, axis: int, check: np.ndarray, tick: int, walk) -> str:
-        from hilrunner.record.crosscheck import QUANTITIES, QUANTITY_COUNT, WALK_FAILED_ROW
+    def _failure_text(self, axis: int, tick: int, walk) -> str:
+        from hilrunner.record.crosscheck import ERROR_KINDS, QUANTITIES, QUANTITY_COUNT, WALK_FAILED_ROW
 
         row = int(walk.number[WALK_FAILED_ROW])
-        quantity = QUANTITIES[row % QUANTITY_COUNT]
-        name, unit = quantity.rsplit("_", 1)
-        field = f"{name}_error_{unit}" if row < QUANTITY_COUNT else f"one_step_{name}_error_{unit}"
-        error = float(check[field][check["tick"] == tick][0])
-        limit = limit_row(self._settings)[row]
-        kind = "of the free run" if row < QUANTITY_COUNT else "of one step"
+        name, unit = QUANTITIES[row % QUANTITY_COUNT].rsplit("_", 1)
         return (
-            f"cross-check {self._axis_names[axis]}: {name.replace('_', ' ')} {kind} is {error:+.4g} {unit} off the "
-            f"first-principle model at tick {tick}; allowed: {limit:.4g} {unit}"
+            f"cross-check {self._axis_names[axis]}: {name.replace('_', ' ')} {ERROR_KINDS[row // QUANTITY_COUNT]} is "
+            f"{float(walk.failed_error[0]):+.4g} {unit} off the first-principle model at tick {tick}; "
+            f"allowed: {limit_row(self._settings)[row]:.4g} {unit}"
         )
 
 
@@ -242,16 +238,17 @@ def limit_row(settings: CheckConfig) -> np.ndarray:
         settings.one_step_pressure_tolerance_pa,
         settings.one_step_pressure_tolerance_pa,
     )
-    return np.array([math.inf if limit is None else limit for limit in free + one_step])
+    sustained = (None, None, settings.sustained_pressure_tolerance_pa, settings.sustained_pressure_tolerance_pa)
+    return np.array([math.inf if limit is None else limit for limit in free + one_step + sustained])
 
 
 def _axis_summary(walk) -> dict:
     from hilrunner.record import crosscheck
 
     figures: dict[str, float | int | None] = {}
-    for row in range(2 * crosscheck.QUANTITY_COUNT):
+    for row in range(crosscheck.ROW_COUNT):
         name, unit = crosscheck.QUANTITIES[row % crosscheck.QUANTITY_COUNT].rsplit("_", 1)
-        prefix = "one_step_" if row >= crosscheck.QUANTITY_COUNT else ""
+        prefix = ("", "one_step_", "sustained_")[row // crosscheck.QUANTITY_COUNT]
         largest, at, squares, count = walk.accumulated[row]
         figures[f"{prefix}{name}_error_{unit}_max"] = _finite(largest)
         figures[f"{prefix}{name}_error_{unit}_rms"] = _finite(math.sqrt(squares / count)) if count else 0.0

@@ -1,7 +1,8 @@
 """How wrong the plant of this run is: the first-principle model stepped from the commands the surrogate got.
 
-Two errors per tick: of a shadow trajectory that runs free from the same start (what has accumulated), and of one period
-from the surrogate's own last state (what this period added). Outside the loop, compiled, a batch of ticks at a time.
+Three errors per tick: of a shadow trajectory that runs free from the same start (what has accumulated), of one period from
+the surrogate's own last state (what this period added), and the first one's mean over the last second (what stays when
+the short transients of spools without mass have gone). Outside the loop, compiled, a batch of ticks at a time.
 
 Assumptions: the records are in order; `valve_command` and `load_scale` held for the tick's period. Of skipped periods only
 the last inputs are logged: between the tick before and this one the load scale, and a command that was ramping to neutral,
@@ -32,7 +33,11 @@ QUANTITIES = (
 )  # state places 0..3
 QUANTITY_COUNT = len(QUANTITIES)
 
-# columns of the accumulator, one row an error: the four of the shadow, then the four of one step
+ERROR_KINDS = ("of the free run", "of one step", "sustained")
+ROW_COUNT = len(ERROR_KINDS) * QUANTITY_COUNT
+SUSTAINED_S = 1.0  # time constant of the sustained error's mean
+
+# columns of the accumulator, one row an error: the four of the shadow, the four of one step, the four sustained
 (SUM_MAX, SUM_MAX_TICK, SUM_SQUARES, SUM_COUNT) = range(4)
 
 # places of the integers a walk carries from batch to batch
@@ -47,7 +52,9 @@ class Walk(NamedTuple):
     one_step: np.ndarray  # (10,) float64, scratch
     held: np.ndarray  # (2,) float64: valve command and load scale of the last tick
     number: np.ndarray  # (5,) int64: WALK_*; failed tick and row -1 while none
-    accumulated: np.ndarray  # (2 * QUANTITY_COUNT, 4) float64: SUM_*
+    accumulated: np.ndarray  # (ROW_COUNT, 4) float64: SUM_*
+    sustained: np.ndarray  # (4,) float64: exponential mean of the shadow's errors
+    failed_error: np.ndarray  # (1,) float64: size of the error that was out first
 
 
 def new_walk(initial_state: np.ndarray, load_scale: float = 1.0) -> Walk:
@@ -62,7 +69,9 @@ def new_walk(initial_state: np.ndarray, load_scale: float = 1.0) -> Walk:
         np.zeros(state_layout.STATE_SIZE),
         np.array([0.0, load_scale]),
         number,
-        np.zeros((2 * QUANTITY_COUNT, 4)),
+        np.zeros((ROW_COUNT, 4)),
+        np.zeros(QUANTITY_COUNT),
+        np.zeros(1),
     )
 
 
@@ -110,6 +119,7 @@ def _restart(walk, surrogate):
     """Both trajectories from the surrogate's state."""
     for k in range(state_layout.STATE_SIZE):
         walk.shadow[k] = surrogate[k]
+    walk.sustained[:] = 0.0
     walk.number[WALK_RESTART_COUNT] += 1
 
 
@@ -131,16 +141,37 @@ def _store_errors(record, shadow, surrogate, one_step, with_one_step):
 
 
 @hot
+def _judge_one(walk, tick, row, error, limits):
+    """Account one error and compare it with its limit; True when it is out."""
+    size = _account(walk.accumulated, row, tick, error)
+    if not size > limits[row]:
+        return False
+    if walk.number[WALK_FAILED_TICK] < 0:
+        walk.number[WALK_FAILED_TICK] = tick
+        walk.number[WALK_FAILED_ROW] = row
+        walk.failed_error[0] = error
+    return True
+
+
+@hot
 def _judge(walk, tick, errors_of, surrogate, first_row, limits):
     """Account four errors and compare them with their limits; True when one is out."""
     out = False
     for k in range(QUANTITY_COUNT):
-        size = _account(walk.accumulated, first_row + k, tick, surrogate[k] - errors_of[k])
-        if size > limits[first_row + k]:
-            out = True
-            if walk.number[WALK_FAILED_TICK] < 0:
-                walk.number[WALK_FAILED_TICK] = tick
-                walk.number[WALK_FAILED_ROW] = first_row + k
+        out = _judge_one(walk, tick, first_row + k, surrogate[k] - errors_of[k], limits) or out
+    return out
+
+
+@hot
+def _judge_sustained(walk, tick, surrogate, passed_s, limits):
+    """Move the means on by the time passed and judge them; True when one is out."""
+    weight = -math.expm1(-passed_s / SUSTAINED_S)
+    out = False
+    for k in range(QUANTITY_COUNT):
+        error = surrogate[k] - walk.shadow[k]
+        if math.isfinite(error):  # an error that is no number has failed already, and would stay in the mean for ever
+            walk.sustained[k] += weight * (error - walk.sustained[k])
+        out = _judge_one(walk, tick, 2 * QUANTITY_COUNT + k, walk.sustained[k], limits) or out
     return out
 
 
@@ -155,7 +186,7 @@ def check_periods(model, axis, period_s, skipped, command, state, walk, limits, 
         skipped: (n,) int64, whole periods skipped just before each tick.
         command, state: (n,) COMMAND and STATE records of the axis, read.
         walk: Walk, read and written.
-        limits: (2 * QUANTITY_COUNT,) float64, largest errors allowed (inf: not watched), rows as in Walk.accumulated.
+        limits: (ROW_COUNT,) float64, largest errors allowed (inf: not watched), rows as in Walk.accumulated.
         one_step_every: the one-step error is computed at ticks divisible by it.
         interpolate: take the command as linear over skipped periods (a stimulus), not as held.
         check: (n,) CHECK records, written; `lag_ns` is left to the caller.
@@ -183,6 +214,7 @@ def check_periods(model, axis, period_s, skipped, command, state, walk, limits, 
             ramping = interpolate or command[i]["mode"] == status.MODE_STALE_RAMP
             _advance_periods(model, axis, period_s, count, walk.held, valve, scale, ramping, walk.shadow)
             out = _judge(walk, tick, walk.shadow, surrogate, 0, limits)
+            out = _judge_sustained(walk, tick, surrogate, count * period_s, limits) or out
             with_one_step = tick % one_step_every == 0
             if with_one_step:
                 for k in range(state_layout.STATE_SIZE):

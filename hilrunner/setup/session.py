@@ -288,6 +288,7 @@ class Session:
             pressure_tolerance_pa=rules.pressure_tolerance_mpa * PA_PER_MPA,
             position_tolerance_m=rules.position_tolerance_mm * M_PER_MM,
             one_step_pressure_tolerance_pa=rules.one_step_pressure_tolerance_mpa * PA_PER_MPA,
+            sustained_pressure_tolerance_pa=rules.sustained_pressure_tolerance_mpa * PA_PER_MPA,
             one_step_decimation=rules.every_n_ticks,
             interpolate_commands=self.options.stimulus is not None,
             record_decimation=rules.every_n_ticks,

@@ -274,7 +274,7 @@ def checked(plants, states, out):
     logged["load_scale"] = 1.0
     command["valve_command"] = 0.25
     walk, check = crosscheck.new_walk(states[0]), np.zeros(count, records.CHECK)
-    limits = np.full(2 * crosscheck.QUANTITY_COUNT, 1e-9)
+    limits = np.full(crosscheck.ROW_COUNT, 1e-9)
     skipped = np.zeros(count, np.int64)
     crosscheck.check_periods(model, 0, 1e-3, skipped, command, logged, walk, limits, 1, False, check)
     for field in records.CHECK.names[2:]:

@@ -11,7 +11,7 @@ COUNT = 60
 TICKS = np.arange(COUNT)
 COMMANDS = 0.6 * np.sin(TICKS * 0.05)
 SCALES = 1.0 + 0.1 * np.cos(TICKS * 0.03)
-NO_LIMITS = np.full(8, np.inf)
+NO_LIMITS = np.full(crosscheck.ROW_COUNT, np.inf)
 ERROR_FIELDS = [name for name in records.CHECK.names if "_error_" in name]
 FREE, ONE_STEP = ERROR_FIELDS[:4], ERROR_FIELDS[4:]
 
@@ -161,6 +161,38 @@ def test_each_error_has_a_limit_of_its_own(bench, states, row, name):
     assert walk.number[crosscheck.WALK_FAILED_TICK] == out["tick"][np.argmax(out["flags"] != 0)]
 
 
+@pytest.mark.parametrize("gaps", [(), (20, 21, 22, 40)])
+def test_the_sustained_error_is_the_mean_of_the_last_second(bench, states, gaps):
+    """A first-order lag, written the other way round; skipped periods count as the time they took."""
+    kept = np.array([tick for tick in TICKS if tick not in gaps])
+    disturbed = states.copy()
+    disturbed[:, 3] += 4000.0 * np.sin(0.7 * TICKS) + 1000.0
+    skipped = np.diff(kept, prepend=-1) - 1
+    command, state = check_plant.as_records(kept, COMMANDS[kept], SCALES[kept], disturbed[kept])
+    out, walk = check(bench, command, state, skipped=skipped)
+    mean, largest = 0.0, 0.0
+    for error, periods in zip(out["chamber_2_pressure_error_pa"], skipped + 1, strict=True):
+        mean = error + (mean - error) * np.exp(-periods * check_plant.PERIOD_S / crosscheck.SUSTAINED_S)
+        largest = max(largest, abs(mean))
+    assert walk.sustained[3] == pytest.approx(mean, rel=1e-9)
+    assert walk.accumulated[11, crosscheck.SUM_MAX] == pytest.approx(largest, rel=1e-9)
+
+
+def test_a_short_transient_passes_where_a_lasting_error_fails(bench, states):
+    """The same size: 20 ms of it stay below the sustained limit, all of it does not; the first to be out is told."""
+    limits = NO_LIMITS.copy()
+    limits[10] = 5000.0 * (1 - np.exp(-30 * check_plant.PERIOD_S / crosscheck.SUSTAINED_S))
+    for lasts, fails in ((20, False), (COUNT - 10, True)):
+        disturbed = states.copy()
+        disturbed[10 : 10 + lasts, 2] += 5000.0
+        command, state = check_plant.as_records(TICKS, COMMANDS, SCALES, disturbed)
+        out, walk = check(bench, command, state, limits=limits)
+        assert bool(out["flags"].any()) is fails
+    assert walk.number[crosscheck.WALK_FAILED_ROW] == 10
+    assert walk.number[crosscheck.WALK_FAILED_TICK] == 10 + 30
+    assert walk.failed_error[0] == pytest.approx(limits[10], rel=0.05)
+
+
 def test_one_step_errors_at_every_nth_tick_only(bench, states):
     command, state = check_plant.as_records(TICKS, COMMANDS, SCALES, states)
     out, walk = check(bench, command, state, one_step_every=8)
@@ -174,7 +206,7 @@ def test_a_surrogate_that_leaves_the_numbers_is_out_of_every_tolerance(bench, st
     broken = states.copy()
     broken[40:, 2] = np.nan
     command, state = check_plant.as_records(TICKS, COMMANDS, SCALES, broken)
-    out, walk = check(bench, command, state, limits=np.full(8, 1e9))
+    out, walk = check(bench, command, state, limits=np.full(crosscheck.ROW_COUNT, 1e9))
     assert (out["flags"][:40] == 0).all() and (out["flags"][40:] != 0).all()
     assert walk.accumulated[2, crosscheck.SUM_MAX] == np.inf
     assert walk.number[crosscheck.WALK_FAILED_TICK] == 40
@@ -183,7 +215,7 @@ def test_a_surrogate_that_leaves_the_numbers_is_out_of_every_tolerance(bench, st
 def test_a_lost_reference_fails_once_and_starts_again(bench, states):
     walk = crosscheck.new_walk(np.full(10, np.nan))
     command, state = check_plant.as_records(TICKS, COMMANDS, SCALES, states)
-    out, walk = check(bench, command, state, limits=np.full(8, 1e9), walk=walk)
+    out, walk = check(bench, command, state, limits=np.full(crosscheck.ROW_COUNT, 1e9), walk=walk)
     assert out["flags"][0] == crosscheck.FLAG_OUT_OF_TOLERANCE
     assert (out["flags"][1:] == 0).all()
     assert (out["chamber_1_pressure_error_pa"][1:] == 0).all()
