@@ -140,8 +140,8 @@ def can_frame_record(data_size_bytes: int) -> np.dtype:
     return _layout(
         [
             ("tick", "u8"),  # tick that received or sent it
-            ("kernel_real_ns", "i8"),  # receive: the kernel's stamp (CLOCK_REALTIME); send: taken just before; 0: none
-            ("mono_ns", "i8"),
+            ("kernel_real_ns", "i8"),  # receive: the kernel's stamp (CLOCK_REALTIME); 0: none, as always when sent
+            ("mono_ns", "i8"),  # receive: wake-up of the tick; send: just after the system call returned
             ("can_id", "u4"),  # SocketCAN: 29 bits and EFF/RTR/ERR flags in the upper three
             ("length", "u1"),  # data bytes
             ("flags", "u1"),  # bit 0: FD, bit 1: BRS, bit 7: sent by the bench

@@ -93,6 +93,7 @@ class Session:
         self._thread: threading.Thread | None = None
         self._failure: BaseException | None = None
         self._cancelled = False
+        self._plants_path: Path | None = None  # deleted by the recorder once read, by us when it could not
         self.schedstat_fd = -1
 
     def start(self) -> None:
@@ -207,6 +208,7 @@ class Session:
             self.bus.close()
         if self._block is not None:
             self._block.close()
+        self._forget_plants()
         late = int(self.armed.bench.progress[0]["miss_count"])
         return RunResult(
             exit_reason=self.exit_reason,
@@ -243,6 +245,11 @@ class Session:
             self._thread.join(timeout=5.0)
         if self.bus is not None:
             self.bus.close()
+        self._forget_plants()
+
+    def _forget_plants(self) -> None:
+        if self._plants_path is not None:
+            self._plants_path.unlink(missing_ok=True)
 
     def _store(self, word: int, value: int) -> None:
         self.ring.header[word * ring_layout.HEADER_STRIDE] = value
@@ -280,6 +287,7 @@ class Session:
         if not rules.enabled:
             return None
         handle, path = tempfile.mkstemp(prefix="hilrunner-check-", suffix=".pickle")
+        self._plants_path = Path(path)
         with os.fdopen(handle, "wb") as file:
             pickle.dump(reference_plants(self.loaded), file)
         return CheckConfig(

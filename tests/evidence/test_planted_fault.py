@@ -1,0 +1,80 @@
+"""One weight of the surrogate times 1.01: the run that used it is told apart from a healthy one, online and in the replay."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import onnx
+import pytest
+from onnx import numpy_helper
+
+from hilrunner.base import exit_codes
+from hilrunner.evidence.reader import read_run
+from hilrunner.setup import resources
+from hilrunner.setup.profile import load_profile
+
+FACTOR = 1.01
+DURATION_S = 4.0
+
+
+def with_planted_fault(folder, tensor: str | None):
+    """The shipped profile in a folder, its model copied beside it with the largest weight of one tensor a hundredth larger."""
+    loaded = load_profile("amc-lift")
+    name = loaded.profile.axis[0].model
+    model = onnx.load(resources.models_folder() / name)
+    for stored in model.graph.initializer:
+        if stored.name == tensor:
+            weights = numpy_helper.to_array(stored).copy()
+            weights.flat[np.abs(weights).argmax()] *= FACTOR
+            stored.CopyFrom(numpy_helper.from_array(weights, tensor))
+    onnx.save(model, folder / "planted.onnx")
+    text = loaded.text.replace(f'"{name}"', '"planted.onnx"')
+    assert text != loaded.text
+    path = folder / "bench.toml"
+    path.write_text(text)
+    return path
+
+
+def hilrunner(folder, *words):
+    """(exit code, JSON) of a command."""
+    done = subprocess.run(
+        [sys.executable, "-m", "hilrunner", *words, "--json"], capture_output=True, text=True, cwd=folder
+    )
+    assert done.stdout, done.stderr
+    return done.returncode, json.loads(done.stdout.splitlines()[-1])
+
+
+def driven(tmp_path, tensor, schedule):
+    """A run in real time by a schedule, then its replay."""
+    profile = with_planted_fault(tmp_path, tensor)
+    ran = hilrunner(
+        tmp_path, "run", "--profile", str(profile), "--stimulus", schedule, "--duration", str(DURATION_S), "--log", "run.mcap",
+    )  # fmt: skip
+    return ran, hilrunner(tmp_path, "replay", "run.mcap"), read_run(tmp_path / "run.mcap")
+
+
+def test_the_same_file_without_a_fault_passes(tmp_path):
+    (code, summary), (replay_code, replay), run = driven(tmp_path, None, "full-lift")
+    assert (code, replay_code) == (exit_codes.PASSED, exit_codes.PASSED), summary
+    assert replay["dae"][0]["out_of_tolerance_ticks"] == 0
+    assert not (run.check["luffing"]["flags"] & 1).any()
+
+
+@pytest.mark.parametrize("tensor, schedule", [("return.weight_3", "full-lift"), ("supply.weight_3", "full-lower")])
+def test_a_planted_fault_trips_the_check_and_replay_shows_where(tmp_path, tensor, schedule):
+    (code, summary), (replay_code, replay), run = driven(tmp_path, tensor, schedule)
+    assert code == exit_codes.CROSS_CHECK_FAILED, summary
+    check = run.check["luffing"]
+    first = int(check["tick"][np.argmax(check["flags"] & 1 != 0)])
+    assert (check["flags"] & 1).any()
+    told = [event.text for event in run.events]
+    assert any("sustained" in text and f"at tick {first}; allowed" in text for text in told), told
+    assert replay_code == exit_codes.CROSS_CHECK_FAILED
+    assert replay["exact"]["identical"], "the replay has the planted model as well: the log carries it"
+    (axis,) = replay["dae"]
+    assert axis["first_out_tick"] == first
+    errors = {(error["quantity"], error["comparison"]): error["max"] for error in axis["errors"]}
+    pressure = "chamber 2 pressure"
+    assert errors[pressure, "run - IDA"] > 100 * errors[pressure, "reference - IDA"], "the fault is the surrogate's"
+    assert {place["network"] for place in axis["training_range"]} == {"supply", "return"}
