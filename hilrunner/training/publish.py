@@ -8,9 +8,14 @@ from hilrunner.training.export import GOLDEN_COUNT, to_onnx
 from hilrunner.training.problem import Recipe
 from hilrunner.training.train import Outcome, Plan, versions, write_json
 
+# recipe -> what its networks answer, for the file's name: paper-flow.onnx, lift-flow.onnx, paper-rates.onnx
+_FILE_WORDS = {"flow": "flow", "paper": "rates"}
+_CURVE_KEYS = ("iteration", "seconds", "train", "validation", "gamma")
+_CURVE_ROWS = 60  # of the curve kept in the data sheet: enough to draw
+
 
 def write_model(recipe: Recipe, outcomes: list[Outcome], plan: Plan, folder: Path, command: str, profile: dict) -> Path:
-    """Write `<circuit>-<recipe>.onnx`, its data sheet `.onnx.json` and `.curves.json`, and prove the file can be loaded.
+    """Write `<circuit>-<flow|rates>.onnx`, its data sheet `.onnx.json` and `.curves.json`, and prove the file can be loaded.
 
     Returns:
         Path of the ONNX file.
@@ -31,7 +36,7 @@ def write_model(recipe: Recipe, outcomes: list[Outcome], plan: Plan, folder: Pat
     networks = [outcome.network for outcome in outcomes]
     model = to_onnx(networks, recipe.circuit, recipe.name, parameters, training, plan.seed)
     data = model.SerializeToString()
-    path = folder / f"{recipe.circuit}-{recipe.name}.onnx"
+    path = folder / model_file_name(recipe.circuit, recipe.name)
     path.write_bytes(data)
     sheet = {
         "file": path.name,
@@ -43,7 +48,7 @@ def write_model(recipe: Recipe, outcomes: list[Outcome], plan: Plan, folder: Pat
         "seed": plan.seed,
         "parameters": parameters,
         "golden_vectors": GOLDEN_COUNT,
-        "networks": [outcome.facts for outcome in outcomes],
+        "networks": [outcome.facts | {"curve": thinned(outcome.curves)} for outcome in outcomes],
         "versions": versions(),
     }
     write_json(path.with_name(path.name + ".json"), sheet)
@@ -51,6 +56,17 @@ def write_model(recipe: Recipe, outcomes: list[Outcome], plan: Plan, folder: Pat
     path.with_suffix(".curves.json").write_text(json.dumps(curves), "utf-8")
     load_model(path, recipe.circuit)
     return path
+
+
+def model_file_name(circuit: str, recipe: str) -> str:
+    """Name of a model file by its circuit and what its networks answer."""
+    return f"{circuit}-{_FILE_WORDS[recipe]}.onnx"
+
+
+def thinned(curves: list[dict]) -> list[dict]:
+    """A training's curve with few enough rows for a data sheet; the last iteration is always among them."""
+    stride = max(1, -(-len(curves) // _CURVE_ROWS))
+    return [{key: row[key] for key in _CURVE_KEYS} for row in curves[::-1][::stride][::-1]]
 
 
 def _short(facts: dict) -> dict:
