@@ -13,6 +13,7 @@ COMMANDS = {
     "report": "latency report and verdict of a run",
     "replay": "bit-exact surrogate replay, and the DAE beside it",
     "train": "sample, solve, train and export a surrogate",
+    "reproduce": "the article's figures and tables beside ours: accuracy, creep, training, time, memory",
     "doctor": "is this host fit for real time? each finding with its remedy",
     "bench": "plant step, loop and log against named rivals",
     "profiles": "list the profiles that ship",
