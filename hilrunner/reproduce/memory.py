@@ -4,7 +4,6 @@ As a process of its own (`python -m hilrunner.reproduce.memory`): JSON request o
 """
 
 import json
-import resource
 import sys
 from pathlib import Path
 
@@ -91,8 +90,15 @@ def measure(request: dict) -> dict[str, int]:
             run_engine(plant, case)
         model = assemble([plant], PERIOD_S)
         state_bytes = sum(array.nbytes for array in model[:-1]) + model.network.words.nbytes + case.start.nbytes
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _BYTES_PER_KIB
-    return {"resident_bytes": peak, "state_bytes": state_bytes}
+    return {"resident_bytes": largest_resident_bytes(), "state_bytes": state_bytes}
+
+
+def largest_resident_bytes() -> int:
+    """The most this program has held; not getrusage, which keeps what its parent held before it became this program."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) * _BYTES_PER_KIB
+    raise OSError("/proc/self/status has no VmHWM")
 
 
 if __name__ == "__main__":
