@@ -17,7 +17,8 @@ from hilrunner.training.rivals import compare as compare_rivals
 from hilrunner.training.train import Outcome, Plan, Stage, train_recipe
 
 _SMALL = Plan(6_000, 5_000, 20_000, (Stage(1_500, 120), Stage(6_000, 40)))
-_PLANS = {"small": _SMALL, "full": Plan()}
+_FULL = Plan(60_000, stages=(Stage(1_500, 300), Stage(15_000, 200), Stage(60_000, 20)))  # as the network that ships
+_PLANS = {"small": _SMALL, "full": _FULL}
 _RIVAL_S_MAX = {"small": 20.0, "full": float("inf")}
 
 
