@@ -6,7 +6,6 @@ import numpy as np
 
 from hilrunner.base import status
 from hilrunner.plant.load import Crane, constant, perturbed, tip_ratio
-from hilrunner.plant.parameters import make_parameters
 from hilrunner.plant.schedule import SCHEDULES, Ramps, sample
 from hilrunner.plant.step import AxisPlant, initial_state
 from hilrunner.plant.wave import heave_series, load_scale_series
@@ -75,12 +74,11 @@ def paper_lift(disturbed: bool) -> Case:
 
 def paper_overrun() -> Case:
     """The article's circuit under a load that pulls: its counterbalance valve modulates, which the article never tries."""
-    # a load and a setting at which the valve modulates below 4 MPa in chamber 2, where the network was trained
-    parameters = make_parameters("paper", {"setting_2_mpa": 9.0})
-    plant = replace(reference_of("paper"), load=constant(-120e3), parameters=parameters)
+    # chamber 2 stays below the 4 MPa up to which the network was trained
+    plant = replace(reference_of("paper"), load=constant(-60e3))
     schedule = SCHEDULES["overrun"]
     commands = sample(schedule, _times(schedule.duration_s))
-    title = "circuit paper, pulled out by 120 kN, valve set to 9 MPa, 20 s"
+    title = "circuit paper, pulled out by 60 kN, 20 s"
     return case_of("paper_overrun", title, plant, commands, PAPER_START_M)
 
 

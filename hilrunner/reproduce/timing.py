@@ -233,5 +233,6 @@ def ask_process(module: str, request: dict, environment: dict[str, str] | None =
         text=True,
     )
     if done.returncode != 0:
-        raise RuntimeError(f"{module} ended with {done.returncode}: {done.stderr.strip()[-400:]}")
+        last_words = (done.stderr.strip().splitlines() or ["no word"])[-1]
+        raise RuntimeError(f"{module} ended with {done.returncode}: {last_words}")
     return json.loads(done.stdout)

@@ -101,11 +101,11 @@ def paper_part(models: Models, quick: bool) -> Part:
 def _paper_charts(load: LoadTable, flow: Comparison, own: Comparison, disturbed: bool, errors: dict) -> list[str]:
     stroke_m = float(flow.case.plant.parameters["stroke_m"][0])
     figures = ("9", "10", "11") if disturbed else ("5", "7", "8")
-    made = [charts.load_chart(f"Figure {figures[0]}: {'perturbed ' * disturbed}load on the rod", load, stroke_m)]
+    made = [charts.load_chart(f"As Figure {figures[0]}: {'perturbed ' * disturbed}load on the rod", load, stroke_m)]
     if not disturbed:
-        made.append(charts.command_chart("Figure 6: valve command", flow))
-    made += charts.trajectory_charts(f"Figure {figures[1]}", flow)
-    made += charts.error_charts(f"Figure {figures[2]}", {"flow (shipped)": flow, "own form": own}, errors)
+        made.append(charts.command_chart("As Figure 6: valve command", flow))
+    made += charts.trajectory_charts(f"As Figure {figures[1]}", flow)
+    made += charts.error_charts(f"As Figure {figures[2]}", {"flow (shipped)": flow, "own form": own}, errors)
     return made
 
 
