@@ -12,7 +12,7 @@ _SHARES = 5  # the periods are timed in so many slices; the median is told
 
 
 def measure(request: dict) -> dict[str, float]:
-    """Seconds of one period by engine; the start, whose search would take minutes interpreted, comes with the request."""
+    """Seconds of one period by engine, and how far cold Newton's states are from the warm ones; the start, whose search would take minutes interpreted, comes with the request."""
     import numba
 
     from hilrunner.base import status
@@ -39,9 +39,12 @@ def measure(request: dict) -> dict[str, float]:
     def advancing(plant: AxisPlant):
         model, scratch = assemble([plant], 1e-3), np.zeros(SCRATCH_SIZE)
         states, flags = np.zeros((count, 10)), np.zeros(count, np.int64)
-        return lambda: advance_many(
-            model, 0, held, np.ones(count), 1e-3, start.copy(), scratch, states, flags
-        )  # fmt: skip
+
+        def run() -> np.ndarray:
+            advance_many(model, 0, held, np.ones(count), 1e-3, start.copy(), scratch, states, flags)
+            return states
+
+        return run
 
     cold = assemble([reference], 1e-3)
     engines = {
@@ -55,7 +58,10 @@ def measure(request: dict) -> dict[str, float]:
             begin_s = time.perf_counter()
             run()
             times[key].append((time.perf_counter() - begin_s) / count)
-    return {f"{key}_s": float(np.median(values)) for key, values in times.items()}
+    found = {f"{key}_s": float(np.median(values)) for key, values in times.items()}
+    warm, fresh = engines["reference"](), engines["cold_newton"]()
+    size = np.abs(warm[:, :4]).max(axis=0)
+    return found | {"cold_newton_difference": float((np.abs(fresh - warm)[:, :4] / size).max())}
 
 
 if __name__ == "__main__":

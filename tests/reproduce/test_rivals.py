@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hilrunner.base import status
 from hilrunner.bench import plant_step
 from hilrunner.bench.cold_newton import cold_newton_states
 from hilrunner.bench.library_ida import library_ida_states
@@ -12,10 +13,9 @@ from hilrunner.reproduce.models import LIFT_FLOW, PAPER_FLOW, PERIOD_S, Models, 
 from hilrunner.training.train import Plan, Stage
 
 
-@pytest.mark.parametrize("profile", ["amc-lift", "paper"])
-def test_cold_newton_and_the_packages_ida_solve_the_same_model(profile):
+def test_cold_newton_and_the_packages_ida_solve_the_same_model():
     """Where the first guess comes from may cost time and nothing else."""
-    reference = reference_of(profile)
+    reference = reference_of("paper")
     held = plant_step.commands(reference.circuit)[:60]
     start = initial_state(reference, 0.6)
     exact = plant_step.Advance(reference, held)()
@@ -31,12 +31,19 @@ def test_ida_is_made_to_start_anew_each_period():
     assert np.all(np.diff(factors) != 0.0) and np.abs(factors - 1.0).max() < 1e-15
 
 
-def test_interpreted_engines_answer_in_a_process_of_their_own(monkeypatch):
+@pytest.mark.parametrize(("profile", "file"), [("paper", PAPER_FLOW), ("amc-lift", LIFT_FLOW)])
+def test_interpreted_engines_answer_in_a_process_of_their_own(profile, file, monkeypatch):
+    """Cold Newton of circuit lift is checked here too: uncompiled, so that no test waits for its compiler."""
     monkeypatch.setattr(timing, "_INTERPRETED_PERIODS", 5)
-    models, reference = Models.of(None), reference_of("paper")
-    surrogate = models.surrogate(PAPER_FLOW, reference)
-    found = timing.interpreted("paper", models.path(PAPER_FLOW), reference, surrogate)
-    assert set(found) == {"surrogate_s", "reference_s", "cold_newton_s"} and min(found.values()) > 1e-5
+    models, reference = Models.of(None), reference_of(profile)
+    surrogate = models.surrogate(file, reference)
+    circuit = status.CIRCUIT_NAMES[reference.circuit]
+    found = timing.interpreted(circuit, models.path(file), reference, surrogate)
+    assert min(found[f"{engine}_s"] for engine in ("surrogate", "reference", "cold_newton")) > 1e-5
+    assert found["cold_newton_difference"] < 1e-7
+
+
+def test_the_interpreted_process_refuses_to_run_compiled():
     with pytest.raises(SystemExit, match="NUMBA_DISABLE_JIT"):
         interpreted.measure({"circuit": "paper"})
 
