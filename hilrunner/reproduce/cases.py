@@ -23,7 +23,7 @@ class Case:
     """One run, the same for every engine.
 
     Args:
-        key: for machines; title: for people. plant: complete first-principle plant.
+        key: for machines; title: for people, without the length. plant: complete first-principle plant.
         commands, load_scales: float64[n], held a period each. start: float64[10], base.state_layout.
     """
 
@@ -38,6 +38,11 @@ class Case:
     def duration_s(self) -> float:
         """How long it is."""
         return len(self.commands) * PERIOD_S
+
+    @property
+    def words(self) -> str:
+        """What it is and how long."""
+        return f"{self.title}, {self.duration_s:g} s"
 
     @property
     def times_s(self) -> np.ndarray:
@@ -69,7 +74,7 @@ def paper_lift(disturbed: bool) -> Case:
     schedule = SCHEDULES["lift-profile"]
     key, words = ("perturbed", "perturbed load") if disturbed else ("nominal", "nominal load")
     commands = sample(schedule, _times(schedule.duration_s))
-    return case_of(key, f"circuit paper, 20 s lift, {words}", plant, commands, PAPER_START_M)
+    return case_of(key, f"circuit paper, lift, {words}", plant, commands, PAPER_START_M)
 
 
 def paper_overrun() -> Case:
@@ -78,7 +83,7 @@ def paper_overrun() -> Case:
     plant = replace(reference_of("paper"), load=constant(-60e3))
     schedule = SCHEDULES["overrun"]
     commands = sample(schedule, _times(schedule.duration_s))
-    title = "circuit paper, pulled out by 60 kN, 20 s"
+    title = "circuit paper, pulled out by 60 kN"
     return case_of("paper_overrun", title, plant, commands, PAPER_START_M)
 
 
@@ -86,8 +91,8 @@ def lift_hold_lower_hold() -> Case:
     """60 s: lift, hold, lower, hold; profile amc-lift."""
     schedule = SCHEDULES["lift-hold-lower-hold"]
     commands = sample(schedule, _times(schedule.duration_s))
-    title = "circuit lift, 60 s lift-hold-lower-hold"
-    return case_of("lift60", title, reference_of("amc-lift"), commands, LIFT_START_M)
+    title = "circuit lift, lift-hold-lower-hold"
+    return case_of("schedule", title, reference_of("amc-lift"), commands, LIFT_START_M)
 
 
 def wave() -> Case:
@@ -100,9 +105,9 @@ def wave() -> Case:
     late = times >= schedule.duration_s
     speed = -heave_series(components, times[late])[:, 1] / rise
     commands[late] = np.clip(speed / _FULL_SPEED_MPS, -1.0, 1.0)
-    title = "circuit lift, 120 s in a sea of Hs 0.5 m: schedule, then heave compensation"
+    title = "circuit lift, sea of Hs 0.5 m: schedule, then heave compensation"
     return case_of(
-        "wave120", title, reference_of("wave-hs05"), commands, LIFT_START_M, load_scale_series(components, times)
+        "sea", title, reference_of("wave-hs05"), commands, LIFT_START_M, load_scale_series(components, times)
     )
 
 
@@ -111,7 +116,7 @@ def overrunning() -> Case:
     components = make_waves(load_profile("overrunning"))[0]
     schedule = SCHEDULES["lift-hold-lower-hold"]
     times = _times(schedule.duration_s)
-    title = "circuit lift, pulled out by 150 kN in a sea of Hs 1 m, 60 s"
+    title = "circuit lift, pulled out by 150 kN in a sea of Hs 1 m"
     return case_of(
         "overrunning",
         title,

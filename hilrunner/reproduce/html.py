@@ -7,8 +7,8 @@ from hilrunner.reproduce.rows import MUST_FAILS, MUST_HOLDS, Part, number
 from hilrunner.reproduce.run import Reproduction
 from hilrunner.reproduce.text import cells
 
-HEAD = ("figure", "measured", "unit", "article", "must", "aim", "must met", "aim reached", "what it is")
-_CHIP_COLUMNS = frozenset({0, 6, 7, 8})
+HEAD = ("figure", "what it is", "measured", "unit", "article", "must", "aim", "must met", "aim reached")
+_HTML_COLUMNS = frozenset({0, 1, 7, 8})
 _CHIPS = {MUST_HOLDS: "good", MUST_FAILS: "bad", "reached": "good", "not reached": "warn"}
 
 
@@ -38,10 +38,10 @@ def _part(part: Part) -> str:
     for row in part.rows:
         words = list(cells(row))
         words[3] += f" ({row.source})" if row.source and row.article is not None else ""
-        words[0] = html.escape(words[0])
         words[6], words[7] = _chip(words[6]), _chip(words[7])
-        rows.append([*words, f'<span class="quiet">{html.escape(row.label)}</span>'])
-    parts = [page.table(HEAD, rows, numbers_from=9, raw=_CHIP_COLUMNS)]
+        label = f'<span class="quiet">{html.escape(row.label)}</span>'
+        rows.append([html.escape(words[0]), label, *words[1:]])
+    parts = [page.table(HEAD, rows, numbers_from=2, raw=_HTML_COLUMNS)]
     for detail in part.details:
         parts.append(f"<h3>{html.escape(detail.title)}</h3>")
         parts.append(page.table(detail.head, [[number(cell) for cell in row] for row in detail.rows]))

@@ -126,5 +126,16 @@ def number(value: object) -> str:
     if isinstance(value, bool) or not isinstance(value, float):
         return str(value)
     if value != 0 and (abs(value) < 1e-3 or abs(value) >= 1e6):
-        return f"{value:.2e}"
+        return _short_exponent(f"{value:.2e}")
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+
+
+def printed(value: float | None) -> str:
+    """A given figure (the article's, a limit) with as many digits as it was given."""
+    return "-" if value is None else _short_exponent(f"{value:.4g}")
+
+
+def _short_exponent(text: str) -> str:
+    """4.96e-06 as 4.96e-6."""
+    mantissa, mark, exponent = text.partition("e")
+    return f"{mantissa}e{int(exponent)}" if mark else text

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from hilrunner.reproduce.rows import Detail, Part, Row, number
+from hilrunner.reproduce.rows import Detail, Part, Row, number, printed
 from hilrunner.reproduce.run import Reproduction
 
 HEAD = ("figure", "measured", "unit", "article", "must", "aim", "must?", "aim?")
@@ -11,10 +11,9 @@ HEAD = ("figure", "measured", "unit", "article", "must", "aim", "must?", "aim?")
 def cells(row: Row) -> tuple[str, ...]:
     """A row as words, columns as HEAD."""
     sign = ">= " if row.at_least else "<= "
-    article = number(row.article)
-    must = "-" if row.must is None else sign + number(row.must)
-    aim = "-" if row.aim is None else sign + number(row.aim)
-    return row.what, number(row.measured), row.unit, article, must, aim, row.verdict, row.aim_verdict
+    must = "-" if row.must is None else sign + printed(row.must)
+    aim = "-" if row.aim is None else sign + printed(row.aim)
+    return row.what, number(row.measured), row.unit, printed(row.article), must, aim, row.verdict, row.aim_verdict
 
 
 def text(found: Reproduction) -> str:

@@ -44,7 +44,7 @@ def error_rows(
         must, aim = limits.of(symbol)
         error = one.errors[symbol]
         paper = (printed or {}).get(symbol)
-        what = f"{one.case.title}: largest error of {symbol}"
+        what = f"{one.case.words}: largest error of {symbol}"
         rows.append(
             Row(f"{key}.{symbol}", what, error.max, error.unit, one.label, paper, source if paper else "", must, aim)
         )
@@ -111,14 +111,14 @@ def _paper_charts(load: LoadTable, flow: Comparison, own: Comparison, disturbed:
 
 def lift_part(models: Models, quick: bool) -> Part:
     """The two-way circuit over its schedule and in a sea."""
-    part = Part("lift", "Circuit lift: 60 s lift, hold, lower, hold; 120 s in a sea")
+    part = Part("lift", "Circuit lift: lift, hold, lower, hold; and in a sea")
     runs = {}
     for made, seconds in ((cases.lift_hold_lower_hold(), _QUICK_LIFT_S), (cases.wave(), _QUICK_SEA_S)):
         case = made.shortened(seconds) if quick else made
         one = compare(case, models.surrogate(LIFT_FLOW, case.plant), LIFT_RTOL)
         runs[case.key] = one
         part.rows += error_rows(f"lift.{case.key}", one, LIFT_LIMITS)
-        part.charts += [charts.command_chart(f"{case.title}: command", one), *charts.trajectory_charts(case.key, one)]
+        part.charts += [charts.command_chart(f"{case.words}: command", one), *charts.trajectory_charts(case.key, one)]
         part.charts += charts.error_charts(case.key, {"surrogate": one})
     part.details.append(error_detail("All errors", runs))
     if quick:
