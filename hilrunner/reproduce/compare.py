@@ -119,7 +119,9 @@ def against(case: Case, surrogate: AxisPlant, truth: np.ndarray, words: str, wal
 
 
 def surrogate_words(plant: AxisPlant) -> str:
-    """A surrogate in words."""
+    """A surrogate, or its reduced model without networks, in words."""
+    if plant.networks is None:
+        return f"reduced model solved exactly, compiled, RK4 x{plant.substep_count} per 1 ms"
     source = plant.networks.source.partition(" ")[0] or "networks"
     return f"surrogate {source}, compiled, RK4 x{plant.substep_count} per 1 ms"
 

@@ -5,7 +5,7 @@ import numpy as np
 from hilrunner.base import status
 from hilrunner.reproduce import cases
 from hilrunner.reproduce.compare import against, outside_training, truth_of
-from hilrunner.reproduce.models import LIFT_FLOW, PAPER_FLOW, Models
+from hilrunner.reproduce.models import LIFT_FLOW, PAPER_FLOW, Models, exact_twin
 from hilrunner.reproduce.rows import Detail, Part, Row
 from hilrunner.reproduce.trajectories import LIFT_LIMITS, PAPER_LIMITS, Limits
 
@@ -34,10 +34,12 @@ def _circuit(part: Part, models: Models, profile: str, file: str, limits: Limits
         one = against(case, models.surrogate(file, case.plant), truth, words)
         label = one.label
         left += outside_training(one.ran)
+        twin = against(case, exact_twin(one.surrogate), truth, words)
         errors = {symbol: one.errors[symbol].max for symbol in found}
         for symbol, value in errors.items():
             found[symbol].append(value)
-        rows.append((number, scale, start_m * 1e3, *errors.values()))
+        without = (twin.errors[symbol].max for symbol in found)
+        rows.append((number, scale, start_m * 1e3, *errors.values(), *without))
     for symbol, values in found.items():
         must, aim = limits.of(symbol)
         unit = "mm" if symbol == "x" else "MPa"
@@ -46,8 +48,11 @@ def _circuit(part: Part, models: Models, profile: str, file: str, limits: Limits
             key = f"heldout.{circuit}.{name}.{symbol}"
             limit = (must, aim) if held else (None, None)
             part.rows.append(Row(key, what, value, unit, label, must=limit[0], aim=limit[1]))
-    head = ("run", "load factor", "start mm", "p1 MPa", "p2 MPa", "x mm")
+    head = ("run", "load factor", "start mm", "p1 MPa", "p2 MPa", "x mm", "p1 no network", "p2", "x")
     part.details.append(Detail(f"Held-out runs, circuit {circuit}", head, rows))
+    part.notes.append(
+        f"circuit {circuit}, no network: the same reduced model solved exactly, so what the reduction alone costs"
+    )
     part.notes.append(f"circuit {circuit}: {left} of {runs} runs left the range of training somewhere")
 
 

@@ -1,15 +1,14 @@
 """Creep: hours are held on a crane, so what a surrogate adds to the drift of a rod at command 0 must be nothing."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from hilrunner.base import status
 from hilrunner.base.units import M_PER_MM
 from hilrunner.plant.step import SCRATCH_SIZE, AxisPlant, advance_many, assemble, initial_state
 from hilrunner.reproduce import cases
 from hilrunner.reproduce.compare import surrogate_words
-from hilrunner.reproduce.models import LIFT_FLOW, PAPER_FLOW, PAPER_RATES, PERIOD_S, Models, reference_of
+from hilrunner.reproduce.models import LIFT_FLOW, PAPER_FLOW, PAPER_RATES, PERIOD_S, Models, exact_twin, reference_of
 from hilrunner.reproduce.rows import Detail, Part, Row
 
 HOLD_S, QUICK_HOLD_S = 600.0, 60.0
@@ -53,11 +52,6 @@ def starts_of(plant: AxisPlant, position_m: float) -> dict[str, np.ndarray]:
         np.zeros(count, np.int64),
     )  # fmt: skip
     return {"from rest": rest, "after a lift": states[-1]}
-
-
-def exact_twin(plant: AxisPlant) -> AxisPlant:
-    """The surrogate's own reduced model (spools without mass, its substeps) with everything solved exactly."""
-    return replace(plant, engine=status.ENGINE_REFERENCE, fast=True, networks=None)
 
 
 def creep_part(models: Models, quick: bool) -> Part:

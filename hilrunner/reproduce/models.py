@@ -60,6 +60,11 @@ def with_networks(plant: AxisPlant, networks: SurrogateNetworks) -> AxisPlant:
     return replace(made, substep_count=default_substep_count(made, PERIOD_S))
 
 
+def exact_twin(plant: AxisPlant) -> AxisPlant:
+    """A surrogate's own reduced model (spools without mass, its substeps) with everything solved exactly: no network."""
+    return replace(plant, engine=status.ENGINE_REFERENCE, fast=True, networks=None)
+
+
 def reference_of(profile: str) -> AxisPlant:
     """The complete first-principle plant of a shipped profile's first axis."""
     plant = replace(reference_plants(load_profile(profile))[0], fast=False, substep_count=0)

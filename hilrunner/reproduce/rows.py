@@ -132,7 +132,7 @@ def number(value: object) -> str:
 
 def printed(value: float | None) -> str:
     """A given figure (the article's, a limit) with as many digits as it was given."""
-    return "-" if value is None else _short_exponent(f"{value:.4g}")
+    return "-" if value is None else _short_exponent(f"{value:.5g}")
 
 
 def _short_exponent(text: str) -> str:

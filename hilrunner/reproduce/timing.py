@@ -186,11 +186,12 @@ def _article_rows(part: Part) -> None:
 def _interpreted_rows(part: Part, circuit: str, path, reference: AxisPlant, surrogate: AxisPlant) -> None:
     found = interpreted(circuit, path, reference, surrogate)
     ratio = found["reference_s"] / found["surrogate_s"]
+    warm = "closed form of Eq. (5)" if circuit == "paper" else "warm Newton"
     counts = f"RK4 x{reference.substep_count} against x{surrogate.substep_count}"
     label = f"both interpreted (NUMBA_DISABLE_JIT=1), first principle in Python, network in numpy; {counts}"
     for key, words, paper in (
         ("surrogate", "surrogate", article.SURROGATE_STEP_MS),
-        ("reference", "first-principle model, warm Newton", article.FIRST_PRINCIPLE_STEP_MS),
+        ("reference", f"first-principle model, {warm}", article.FIRST_PRINCIPLE_STEP_MS),
         ("cold_newton", "first-principle model, cold Newton in every stage", article.FIRST_PRINCIPLE_STEP_MS),
     ):
         what = f"circuit {circuit}, interpreted: 1 ms by the {words}"
@@ -199,7 +200,7 @@ def _interpreted_rows(part: Part, circuit: str, path, reference: AxisPlant, surr
             Row(f"time.{circuit}.interpreted.{key}", what, cost_ms, "ms", label, paper, "Table 6", timing=True)
         )
     for key, words, value in (
-        ("ratio", "warm Newton", ratio),
+        ("ratio", warm, ratio),
         ("cold_ratio", "cold Newton", found["cold_newton_s"] / found["surrogate_s"]),
     ):
         what = f"circuit {circuit}, interpreted: first-principle model ({words}) over surrogate"

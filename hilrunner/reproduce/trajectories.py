@@ -8,7 +8,7 @@ from hilrunner.base import status
 from hilrunner.plant.load import LoadTable
 from hilrunner.reproduce import article, cases, charts
 from hilrunner.reproduce.compare import QUANTITIES, Comparison, against, compare, outside_training
-from hilrunner.reproduce.models import LIFT_FLOW, PAPER_FLOW, PAPER_RATES, Models
+from hilrunner.reproduce.models import LIFT_FLOW, PAPER_FLOW, PAPER_RATES, Models, exact_twin
 from hilrunner.reproduce.rows import Detail, Part, Row, number
 
 PAPER_RTOL, LIFT_RTOL = 1e-11, 1e-9
@@ -32,6 +32,7 @@ PAPER_LIMITS = Limits((1e-4, 1e-5))
 LIFT_LIMITS = Limits((3e-3, 5e-4), (0.02, 0.005))
 OVERRUN_LIMITS = Limits((5e-3, 5e-4), (0.05, 0.005))
 ONLY_TOLD = Limits()
+_TWIN = "no network"
 _QUICK_LIFT_S, _QUICK_SEA_S = 20.0, 10.0
 
 
@@ -116,7 +117,7 @@ def lift_part(models: Models, quick: bool) -> Part:
     for made, seconds in ((cases.lift_hold_lower_hold(), _QUICK_LIFT_S), (cases.wave(), _QUICK_SEA_S)):
         case = made.shortened(seconds) if quick else made
         one = compare(case, models.surrogate(LIFT_FLOW, case.plant), LIFT_RTOL)
-        runs[case.key] = one
+        runs |= {case.key: one, f"{case.key}, {_TWIN}": _twin_of(one)}
         part.rows += error_rows(f"lift.{case.key}", one, LIFT_LIMITS)
         part.charts += [charts.command_chart(f"{case.words}: command", one), *charts.trajectory_charts(case.key, one)]
         part.charts += charts.error_charts(case.key, {"surrogate": one})
@@ -138,15 +139,21 @@ def overrun_part(models: Models, quick: bool) -> Part:
     paper = compare(pulled, models.surrogate(PAPER_FLOW, pulled.plant), PAPER_RTOL)
     part.rows += error_rows("overrun.paper", paper, OVERRUN_LIMITS)
     runs = {"circuit lift": lift, "circuit paper": paper}
+    twins = {f"{name}, {_TWIN}": _twin_of(one) for name, one in runs.items()}
     for name, one in runs.items():
         ratio = modulating_ratio(one)
         part.notes.append(f"{name}: the rod-side valve stands between 5 and 95 % open for {ratio:.0%} of the run")
         part.charts += charts.error_charts(name, {"surrogate": one})
-    part.details.append(error_detail("All errors", runs))
+    part.details.append(error_detail("All errors", runs | twins))
     if quick:
         part.notes.append(f"quick: circuit lift for the first {_QUICK_SEA_S:g} s only")
     _note_flags(part, runs)
     return part
+
+
+def _twin_of(one: Comparison) -> Comparison:
+    """What the reduction alone costs: the same run, the same truth, no network."""
+    return against(one.case, exact_twin(one.surrogate), one.truth, one.truth_words)
 
 
 def modulating_ratio(one: Comparison) -> float:
@@ -157,6 +164,8 @@ def modulating_ratio(one: Comparison) -> float:
 
 def _note_flags(part: Part, runs: dict[str, Comparison]) -> None:
     for name, one in runs.items():
+        if one.surrogate.networks is None:
+            continue
         words = [f"{one.ran.served_ratio:.1%} of the evaluations by network"]
         if outside_training(one.ran):
             words.append("its range of training was left (there the exact functions answer; the own form extrapolates)")

@@ -13,7 +13,7 @@ from hilrunner import cli
 from hilrunner.commands import reproduce as command
 from hilrunner.reproduce import cases, holding, run
 from hilrunner.reproduce.compare import compare
-from hilrunner.reproduce.models import LIFT_FLOW, PAPER_FLOW, PAPER_RATES, Models, reference_of
+from hilrunner.reproduce.models import LIFT_FLOW, PAPER_FLOW, PAPER_RATES, Models, exact_twin, reference_of
 from hilrunner.reproduce.networks import FRESH_SEED, fresh_seed
 from hilrunner.reproduce.rows import MUST_FAILS, MUST_HOLDS, NO_MUST, Row
 from hilrunner.reproduce.trajectories import PAPER_LIMITS, error_rows
@@ -134,7 +134,7 @@ def test_a_hold_adds_nothing_and_the_articles_form_creeps(profile, file):
     surrogate = models.surrogate(file, reference)
     for start in holding.starts_of(surrogate, 0.5).values():
         mine = holding.hold(surrogate, start, 3.0)
-        assert mine.drift_m == holding.hold(holding.exact_twin(surrogate), start, 3.0).drift_m
+        assert mine.drift_m == holding.hold(exact_twin(surrogate), start, 3.0).drift_m
     if profile == "paper":
         rest = holding.starts_of(surrogate, 0.3)["from rest"]
         own = holding.hold(models.surrogate(PAPER_RATES, reference), rest, 3.0)
