@@ -7,8 +7,8 @@ from hilrunner.reproduce.rows import MUST_FAILS, MUST_HOLDS, Part, number
 from hilrunner.reproduce.run import Reproduction
 from hilrunner.reproduce.text import cells
 
-HEAD = ("figure", "what it is", "measured", "unit", "article", "must", "aim", "must met", "aim reached")
-_HTML_COLUMNS = frozenset({0, 1, 7, 8})
+HEAD = ("figure, and what it is", "measured", "unit", "article", "must", "aim", "must met", "aim reached")
+_HTML_COLUMNS = frozenset({0, 6, 7})
 _CHIPS = {MUST_HOLDS: "good", MUST_FAILS: "bad", "reached": "good", "not reached": "warn"}
 
 
@@ -20,8 +20,8 @@ def reproduction_html(found: Reproduction) -> str:
 
 
 def _lead(found: Reproduction) -> str:
-    held, broken = found.with_must(True), found.with_must(False)
-    chips = [page.chip(f"{len(held)} of {len(held) + len(broken)} musts hold", "bad" if broken else "good")]
+    broken = found.with_must(False)
+    chips = [page.chip(found.musts(), "bad" if broken else "good")]
     if found.quick:
         chips.append(page.chip("quick: shorter cases", "warn"))
     told = page.paragraph(
@@ -39,9 +39,9 @@ def _part(part: Part) -> str:
         words = list(cells(row))
         words[3] += f" ({row.source})" if row.source and row.article is not None else ""
         words[6], words[7] = _chip(words[6]), _chip(words[7])
-        label = f'<span class="quiet">{html.escape(row.label)}</span>'
-        rows.append([html.escape(words[0]), label, *words[1:]])
-    parts = [page.table(HEAD, rows, numbers_from=2, raw=_HTML_COLUMNS)]
+        what = f'<div style="min-width:17rem">{html.escape(words[0])}<br><small class="quiet">{html.escape(row.label)}</small></div>'
+        rows.append([what, *words[1:]])
+    parts = [page.table(HEAD, rows, raw=_HTML_COLUMNS)]
     for detail in part.details:
         parts.append(f"<h3>{html.escape(detail.title)}</h3>")
         parts.append(page.table(detail.head, [[number(cell) for cell in row] for row in detail.rows]))

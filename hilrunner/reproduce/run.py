@@ -49,6 +49,11 @@ class Reproduction:
         """Rows whose must holds, or does not."""
         return [row for row in self.rows if row.meets(row.must) is held]
 
+    def musts(self) -> str:
+        """How many musts hold, in words."""
+        held, broken = len(self.with_must(True)), len(self.with_must(False))
+        return f"{held} of {held + broken} musts hold" if held + broken else "no row of these parts has a must"
+
     def facts(self) -> dict[str, str]:
         """What made the numbers."""
         import numba

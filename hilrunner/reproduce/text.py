@@ -24,10 +24,8 @@ def text(found: Reproduction) -> str:
 
 def summary(found: Reproduction) -> str:
     """Which musts hold."""
-    held, broken = found.with_must(True), found.with_must(False)
-    lines = [
-        f"{len(held)} of {len(held) + len(broken)} musts hold" + (" (quick: shorter cases)" if found.quick else "")
-    ]
+    broken = found.with_must(False)
+    lines = [found.musts() + (" (quick: shorter cases)" if found.quick else "")]
     for row in broken:
         lines.append(f"  NOT MET: {row.what}: {number(row.measured)} {row.unit}, must {cells(row)[4]} ({row.label})")
     missed = [row for row in found.rows if row.meets(row.aim) is False and row not in broken]
