@@ -73,7 +73,17 @@ def networks_part(models: Models, quick: bool) -> Part:
     part.details.append(
         Detail(
             "Test errors on fresh points",
-            ("file", "network", "parameters", "points", "normalised", "best constant", "RMS / deviation", "RMS, SI"),
+            (
+                "file",
+                "network",
+                "parameters",
+                "points",
+                "normalised",
+                "in its sheet",
+                "best constant",
+                "RMS / deviation",
+                "RMS, SI",
+            ),
             table,
         )
     )
@@ -120,10 +130,16 @@ def _file_rows(part: Part, models: Models, file: str, plant: AxisPlant, points: 
             _parameter_row(part, network, file)
         worst = max(error.over_deviation)
         rms = ", ".join(number(one) for one in error.rms)
-        table.append(
-            (file, problem.role, network.parameter_count, points, error.normalised, error.constant, worst, rms)
-        )
+        said = _sheet_error(models.sheet(file), problem.role)
+        row = (file, problem.role, network.parameter_count, points, error.normalised, said, error.constant, worst, rms)
+        table.append(row)
     return table
+
+
+def _sheet_error(sheet: dict, role: str) -> float | None:
+    """The normalised test error a data sheet tells of a network."""
+    facts = [one for one in sheet.get("networks", []) if one.get("role") == role]
+    return facts[0].get("test", {}).get("normalised_mean_square") if facts else None
 
 
 def _parameter_row(part: Part, network: Mlp, file: str) -> None:
