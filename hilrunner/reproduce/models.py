@@ -1,5 +1,6 @@
 """The trained models of a reproduction: those that ship, or a folder of the same names."""
 
+import hashlib
 import json
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -35,6 +36,10 @@ class Models:
         """The file; one that the folder lacks is taken from what ships."""
         mine = self.folder / name
         return mine if mine.is_file() else resources.models_folder() / name
+
+    def sha256(self, name: str) -> str:
+        """Hash of a file."""
+        return hashlib.sha256(self.path(name).read_bytes()).hexdigest()
 
     def networks(self, name: str, plant: AxisPlant) -> SurrogateNetworks:
         """The networks of a file, checked for a plant; ModelError where the file is refused."""

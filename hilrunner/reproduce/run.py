@@ -4,7 +4,6 @@ import platform
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from hilrunner import __version__
 from hilrunner.reproduce.heldout import heldout_part
 from hilrunner.reproduce.holding import creep_part
 from hilrunner.reproduce.memory import memory_part
-from hilrunner.reproduce.models import Models
+from hilrunner.reproduce.models import LIFT_FLOW, PAPER_FLOW, PAPER_RATES, Models
 from hilrunner.reproduce.networks import networks_part
 from hilrunner.reproduce.rows import Part, Row
 from hilrunner.reproduce.timing import time_part
@@ -37,7 +36,7 @@ class Reproduction:
 
     parts: list[Part]
     quick: bool
-    models: Path
+    models: Models
     wall_s: float
 
     @property
@@ -64,7 +63,7 @@ class Reproduction:
             "numpy": np.__version__,
             "numba": numba.__version__,
             "machine": platform.machine(),
-            "models": ", ".join(sorted(path.name for path in self.models.glob("*.onnx"))),
+            **{f"model {name}": f"sha256 {self.models.sha256(name)}" for name in (PAPER_FLOW, LIFT_FLOW, PAPER_RATES)},
             "size": "quick: shorter cases" if self.quick else "full",
             "taken": f"{self.wall_s:.0f} s",
         }
@@ -100,4 +99,4 @@ def reproduce(
         part = part_of(models, quick)
         part.wall_s = time.monotonic() - part_begin_s
         parts.append(part)
-    return Reproduction(parts, quick, models.folder, time.monotonic() - begin_s)
+    return Reproduction(parts, quick, models, time.monotonic() - begin_s)

@@ -27,6 +27,7 @@ def pages(tmp_path_factory):
     assert cli.main(["report", str(folder / "run.mcap"), "--html", str(folder / "report.html")]) in (0, 1)
     bench_run.make_run(folder / "replayed.mcap", bench_run.Plan(tick_count=400))
     assert cli.main(["replay", str(folder / "replayed.mcap"), "--html", str(folder / "replay.html")]) == 0
+    assert cli.main(["reproduce", "--quick", "--only", "paper", "--out", str(folder)]) == 0
     return folder
 
 
@@ -43,14 +44,14 @@ def chromium(folder, *options) -> str:
     return done.stdout
 
 
-@pytest.mark.parametrize("name", ["report", "replay"])
+@pytest.mark.parametrize("name", ["report", "replay", "reproduce"])
 def test_a_page_needs_nothing_but_itself(pages, name):
     text = (pages / f"{name}.html").read_text()
     assert not re.search(r"(?:src|href)=|url\(|@import|https?://|<script", text)
     assert text.count("<svg") >= 8
 
 
-@pytest.mark.parametrize("name", ["report", "replay"])
+@pytest.mark.parametrize("name", ["report", "replay", "reproduce"])
 @pytest.mark.parametrize("width", [WIDTH, 420])
 def test_nothing_runs_over_the_edge(pages, name, width):
     probe = pages / "probe.html"
@@ -62,7 +63,7 @@ def test_nothing_runs_over_the_edge(pages, name, width):
     assert '"wide":false' in seen and '"flat":0' in seen, seen
 
 
-@pytest.mark.parametrize("name", ["report", "replay"])
+@pytest.mark.parametrize("name", ["report", "replay", "reproduce"])
 def test_light_and_dark(pages, name):
     shades = {}
     for scheme, number in (("light", 1), ("dark", 0)):
