@@ -93,6 +93,7 @@ class Session:
         self._thread: threading.Thread | None = None
         self._failure: BaseException | None = None
         self._cancelled = False
+        self._log_is_ours = False  # nobody's file before: made, or emptied, by our recorder
         self._plants_path: Path | None = None  # deleted by the recorder once read, by us when it could not
         self.schedstat_fd = -1
 
@@ -125,6 +126,7 @@ class Session:
         if options.require_realtime:
             host.require_realtime(self.grants, self.host_report.findings)
         if self._block is not None:
+            self._log_is_ours = options.log_path is not None and not os.path.lexists(options.log_path)
             self.recorder = launch.start_recorder(self._recorder_config(shape), self.ring)
         self.armed = arm(
             self.loaded,
@@ -140,6 +142,7 @@ class Session:
         run_loop(self.armed.bench, NO_BUS, 0, 0)
         if self.recorder is not None:
             self.recorder.wait_ready(_RECORDER_WAIT_S)
+            self._log_is_ours = options.log_path is not None
             self._remove_stimulus()  # the log is open and holds it
         self._drain_stale_frames()
         self.start_mono_ns = time.monotonic_ns() + _START_DELAY_NS
@@ -239,8 +242,8 @@ class Session:
         if self.recorder is not None:
             self.recorder.process.kill()
             self.recorder.process.wait()
-            if self.options.log_path is not None:
-                self.options.log_path.unlink(missing_ok=True)
+            if self._log_is_ours and self.options.log_path.is_file():
+                self.options.log_path.unlink()
         if self._thread is not None:
             self._thread.join(timeout=5.0)
         if self.bus is not None:
