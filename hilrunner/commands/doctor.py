@@ -10,6 +10,7 @@ import os
 import sys
 
 from hilrunner.base import exit_codes
+from hilrunner.commands import options as option_types
 
 _COLOURS = {"ok": "32", "warn": "33", "fail": "31", "got": "32", "refused": "31"}
 _NAME_WIDTH = 27
@@ -19,12 +20,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `hilrunner doctor`."""
     parser.add_argument("--can", "-c", "--channel", dest="channel", metavar="CH", help="CAN interface to look at")
     parser.add_argument("--profile", metavar="NAME|FILE", help="take period and bus load from this profile")
-    parser.add_argument("--period-us", type=int, metavar="N", help="period the wake-ups are judged by (default 1000)")
+    parser.add_argument(
+        "--period-us",
+        type=option_types.whole(50, 1_000_000, "us"),
+        metavar="N",
+        help="period the wake-ups are judged by (default 1000)",
+    )
     parser.add_argument(
         "--cpu", type=int, default=-1, metavar="N", help="core of the loop (default: the best there is)"
     )
-    parser.add_argument("--priority", type=int, default=80, metavar="N", help="SCHED_FIFO priority to try (default 80)")
-    parser.add_argument("--seconds", type=float, default=1.0, metavar="S", help="duration of each try (default 1)")
+    parser.add_argument(
+        "--priority",
+        type=option_types.whole(0, 99),
+        default=80,
+        metavar="N",
+        help="SCHED_FIFO priority to try (default 80)",
+    )
+    parser.add_argument(
+        "--seconds", type=option_types.seconds, default=1.0, metavar="S", help="duration of each try (default 1)"
+    )
     parser.add_argument("--json", action="store_true", help="one JSON object on stdout")
 
 

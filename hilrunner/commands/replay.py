@@ -6,6 +6,8 @@ import sys
 import time
 from pathlib import Path
 
+from hilrunner.commands import options as option_types
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `hilrunner replay`."""
@@ -16,7 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--only", choices=("exact", "dae"), default="both", help="bit-exact replay, or the full model (default: both)"
     )
-    parser.add_argument("--duration", type=float, metavar="S", help="full model: only so many seconds from the start")
+    parser.add_argument(
+        "--duration", type=option_types.seconds, metavar="S", help="full model: only so many seconds from the start"
+    )
     parser.add_argument(
         "--rtol", type=float, default=1e-11, help="full model: IDA's relative tolerance (default: %(default)g)"
     )
@@ -30,8 +34,6 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.evidence import replay as evidence
     from hilrunner.evidence.report import cost_since
 
-    if args.duration is not None and not args.duration > 0:
-        raise UsageError("--duration", f"{args.duration:g} s", "above 0")
     if not 1e-13 <= args.rtol <= 1e-3:
         raise UsageError("--rtol", f"{args.rtol:g}", "1e-13 to 1e-3")
     if args.out and args.out.exists() and args.out.samefile(args.log):

@@ -5,6 +5,8 @@ import os
 import time
 from pathlib import Path
 
+from hilrunner.commands import options
+
 _BEGIN_MONO_NS = time.monotonic_ns()
 os.environ.setdefault(
     "OPENBLAS_NUM_THREADS", "1"
@@ -17,7 +19,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     bus.add_argument("--can", metavar="CH", help="SocketCAN channel; short for -c CH -i socketcan")
     bus.add_argument("-c", "--channel", metavar="CH", help="channel of the python-can interface")
     bus.add_argument("-i", "--interface", metavar="NAME", help="python-can interface (default: socketcan, or can.conf)")
-    bus.add_argument("-b", "--bitrate", type=int, metavar="BIT/S", help="bit rate, where the interface sets it")
+    bus.add_argument(
+        "-b",
+        "--bitrate",
+        type=options.whole(10_000, 8_000_000, "bit/s"),
+        metavar="BIT/S",
+        help="bit rate, where the interface sets it",
+    )
     bus.add_argument("--fd", action="store_true", help="CAN FD frames")
     bus.add_argument("--stimulus", metavar="FILE", help="valve schedule or CAN log in place of commands from the bus")
     run = parser.add_argument_group("run")
@@ -25,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     run.add_argument(
         "--engine", choices=("surrogate", "onnx", "reference"), default="surrogate", help="plant in the loop"
     )
-    run.add_argument("--duration", type=_positive, metavar="S", help="default: until SIGINT or SIGTERM")
+    run.add_argument("--duration", type=options.seconds, metavar="S", help="default: until SIGINT or SIGTERM")
     run.add_argument("--log", type=Path, metavar="FILE.mcap", help="default: runs/<UTC>-<profile>.mcap")
     run.add_argument("--no-log", action="store_true", help="write no log")
     run.add_argument(
@@ -35,8 +43,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     timing = parser.add_argument_group("timing")
     timing.add_argument("--period-us", type=int, metavar="N", help="in place of the profile's period")
     timing.add_argument("--overrun", choices=("skip", "catch-up", "stop"), help="in place of the profile's policy")
-    timing.add_argument("--spin-us", type=int, metavar="N", help="sleep short of the deadline and spin the rest")
-    timing.add_argument("--cpu", type=int, default=-1, metavar="N", help="bind the loop to this core")
+    timing.add_argument(
+        "--spin-us",
+        type=options.whole(0, 10_000, "us"),
+        metavar="N",
+        help="sleep short of the deadline and spin the rest",
+    )
+    timing.add_argument(
+        "--cpu", type=options.whole(-1, 4095), default=-1, metavar="N", help="bind the loop to this core"
+    )
     timing.add_argument("--priority", type=int, default=80, metavar="N", help="SCHED_FIFO priority; 0: do not ask")
     timing.add_argument("--require-realtime", action="store_true", help="refuse to run (exit 6) unless all is granted")
 
@@ -46,10 +61,3 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.commands.run_session import execute
 
     return execute(args, _BEGIN_MONO_NS)
-
-
-def _positive(text: str) -> float:
-    value = float(text)
-    if not value > 0:
-        raise argparse.ArgumentTypeError(f"{text}: must be above 0")
-    return value

@@ -3,6 +3,8 @@
 import argparse
 from pathlib import Path
 
+from hilrunner.commands import options
+
 ENGINES = ("surrogate", "onnx", "reference")
 
 
@@ -10,7 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `hilrunner simulate`."""
     parser.add_argument("--profile", default="amc-lift", metavar="NAME|FILE", help="default: %(default)s")
     parser.add_argument("--schedule", metavar="NAME|FILE", help="valve schedule (default: the profile's)")
-    parser.add_argument("--duration", type=float, metavar="S", help="default: as long as the schedule")
+    parser.add_argument("--duration", type=options.seconds, metavar="S", help="default: as long as the schedule")
     parser.add_argument("--engine", choices=ENGINES, default="surrogate", help="default: %(default)s")
     parser.add_argument("--compare", choices=ENGINES, metavar="ENGINE", help="a second engine; differences are printed")
     parser.add_argument("--out", type=Path, metavar="RUN.mcap", help="write a log like that of a run")

@@ -3,6 +3,8 @@
 import argparse
 import sys
 
+from hilrunner.commands import options
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `hilrunner train`."""
@@ -25,7 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--article", action="store_true", help="the article's 2e7 / 2.5e6 / 2.5e6 points (hours)")
     parser.add_argument("--seed", type=int, default=1, help="of samples and weights (default: %(default)s)")
     parser.add_argument(
-        "--seconds", type=float, default=None, help="time limit a network; makes the result depend on the clock"
+        "--seconds",
+        type=options.seconds,
+        default=None,
+        help="time limit a network; makes the result depend on the clock",
     )
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoints in --out")
     parser.add_argument(

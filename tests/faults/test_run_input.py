@@ -22,6 +22,7 @@ BAD = {
     "priority": (["--priority", "120", *SCHEDULE], exit_codes.BAD_INPUT, ["--priority", "120", "99"]),
     "no such schedule": (["--stimulus", "none.csv"], exit_codes.BAD_INPUT, ["none.csv", "lift-profile"]),
     "unwritable log": ([*SCHEDULE, "--log", "/proc/none/x.mcap"], exit_codes.BAD_INPUT, ["/proc/none", "--log"]),
+    "log is a folder": ([*SCHEDULE, "--log", "."], exit_codes.BAD_INPUT, ["--log", "directory"]),
     "unknown backend": (["-i", "no-such", "-c", "x"], exit_codes.BAD_INPUT, ["no-such"]),
 }
 
@@ -74,3 +75,35 @@ def test_the_overview_names_every_command(capsys):
     out = capsys.readouterr().out
     for word in ("--can vcan0", "simulate", "replay", "exit codes"):
         assert word in out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "--duration", "inf"],
+        ["run", "--duration", "nan"],
+        ["run", "--duration", "0"],
+        ["run", "--spin-us", "-5"],
+        ["run", "--cpu", "-5"],
+        ["run", "-b", "-5"],
+        ["simulate", "--duration", "nan"],
+        ["simulate", "--duration", "-1"],
+        ["replay", "run.mcap", "--duration", "inf"],
+        ["doctor", "--seconds", "nan"],
+        ["train", "--seconds", "soon"],
+    ],
+)
+def test_a_number_out_of_range(words, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == exit_codes.BAD_INPUT
+    last = capsys.readouterr().err.strip().splitlines()[-1]
+    assert words[-2] in last and words[-1] in last, last
+
+
+def test_a_refused_start_leaves_a_file_of_somebody_else_alone(in_an_empty_folder, capsys):
+    """The log cannot be opened, so the file under its name is not the run's to delete."""
+    theirs = in_an_empty_folder / "evidence.txt"
+    theirs.write_text("kept")
+    assert main(["run", *SCHEDULE, "--log", str(theirs), "--live", "99999999"]) == exit_codes.BAD_INPUT
+    assert "--live" in capsys.readouterr().err and theirs.read_text() == "kept"
