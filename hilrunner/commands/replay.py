@@ -30,14 +30,13 @@ def main(args: argparse.Namespace) -> int:
     """Replay, print, write what was asked for; exit code 0, 1 (bits differ) or 5 (out of tolerance)."""
     begin_ns = time.monotonic_ns()
     from hilrunner.base.errors import UsageError
-    from hilrunner.commands.report import write_text
+    from hilrunner.commands.targets import check_targets, whole, write_text
     from hilrunner.evidence import replay as evidence
     from hilrunner.evidence.report import cost_since
 
     if not 1e-13 <= args.rtol <= 1e-3:
         raise UsageError("--rtol", f"{args.rtol:g}", "1e-13 to 1e-3")
-    if args.out and args.out.exists() and args.out.samefile(args.log):
-        raise UsageError("--out", "is the log that is read", remedy="name another file")
+    check_targets([args.html, args.out], log=args.log)
     options = evidence.ReplayOptions(part=args.only, duration_s=args.duration, rtol=args.rtol)
     with _ProgressBar() as progress:
         replay = evidence.build_replay(args.log, options, progress)
@@ -49,7 +48,8 @@ def main(args: argparse.Namespace) -> int:
     if args.out:
         from hilrunner.evidence.replay_log import write_replay
 
-        write_replay(args.out, replay)
+        with whole(args.out) as part:
+            write_replay(part, replay)
         written.append(args.out)
     if args.json:
         print(json.dumps(evidence.as_dict(replay), allow_nan=False))

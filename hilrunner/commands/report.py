@@ -25,7 +25,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Read, print, write what was asked for; the exit code is the verdict's."""
     begin_ns = time.monotonic_ns()
+    from hilrunner.commands.targets import check_folder, check_targets, write_text
     from hilrunner.evidence import report as evidence
+
+    check_targets([args.html, args.junit], log=args.log)
+    if args.hgrm:
+        check_folder(args.hgrm)
 
     report = evidence.build_report(args.log, args.reference)
     written = []
@@ -53,15 +58,3 @@ def main(args: argparse.Namespace) -> int:
     cost = evidence.cost_since(begin_ns).sentence(f"report of {report.latency.duration_s:.0f} s")
     print(cost, file=sys.stderr)
     return report.verdict.exit_code
-
-
-def write_text(path: Path, text: str) -> Path:
-    """Write a file and the folders above it; UsageError when that cannot be done."""
-    from hilrunner.base.errors import UsageError
-
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise UsageError(str(path), f"cannot be written: {error.strerror}", remedy="name another file") from None
-    return path

@@ -42,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Measure, print, write; exit code 0, or 2 on bad input."""
     from hilrunner.base import exit_codes
-    from hilrunner.commands.report import write_text
+    from hilrunner.commands.targets import check_targets, write_text
 
     train = _trainer(args)
     from hilrunner.reproduce.html import reproduction_html
@@ -52,7 +52,7 @@ def main(args: argparse.Namespace) -> int:
 
     models = Models.of(args.models)
     written = [args.out / "reproduce.json", args.out / "reproduce.html"]
-    write_text(written[0], "{}\n")  # a folder that cannot be written is refused before minutes of work
+    check_targets(written)  # before minutes of work
     found = reproduce(models, args.only or PARTS, args.quick, train, _say())
     data = json.dumps(found.as_dict(), allow_nan=False)
     write_text(written[0], data + "\n")

@@ -26,12 +26,14 @@ def main(args: argparse.Namespace) -> int:
 
     from hilrunner.base import exit_codes, status
     from hilrunner.commands import simulate_output as output
+    from hilrunner.commands.targets import check_targets, whole
     from hilrunner.setup.profile import load_profile
     from hilrunner.setup.simulate import simulate
 
     loaded = load_profile(args.profile)
     schedule = args.schedule or loaded.profile.stimulus.schedule
-    output.check_targets(args.out, args.plot)
+    output.check_format(args.plot)
+    check_targets([args.out, args.plot])
     first = simulate(loaded, status.ENGINE_NAMES.index(args.engine), schedule, args.duration, output.progress("first"))
     second = None
     if args.compare:
@@ -40,8 +42,10 @@ def main(args: argparse.Namespace) -> int:
         )
     figures = output.figures(loaded, args.engine, schedule, first, args.compare, second)
     if args.out:
-        output.write_log(args.out, loaded, first)
+        with whole(args.out) as part:
+            output.write_log(part, loaded, first)
     if args.plot:
-        output.write_plot(args.plot, loaded, first, second, args.engine, args.compare)
+        with whole(args.plot) as part:
+            output.write_plot(part, loaded, first, second, args.engine, args.compare)
     print(json.dumps(figures) if args.json else output.text(figures))
     return exit_codes.PASSED if figures["finite"] else exit_codes.VERDICT_FAILED

@@ -21,15 +21,12 @@ _SHOWN = (
 )
 
 
-def check_targets(out: Path | None, plot: Path | None) -> None:
-    """Refuse targets that cannot be written before any time is spent."""
+def check_format(plot: Path | None) -> None:
+    """Refuse a picture of an unknown kind before any time is spent."""
     if plot is not None and plot.suffix not in (".png", ".svg"):
         raise UsageError(
             f"--plot {plot}", f"'{plot.suffix}' is not a format", ".png, .svg", "choose one of these endings"
         )
-    for path in (out, plot):
-        if path is not None and not path.resolve().parent.is_dir():
-            raise UsageError(str(path), "no such folder", remedy="make it, or choose another")
 
 
 def progress(label: str) -> Callable[[float], None] | None:

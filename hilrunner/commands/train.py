@@ -25,7 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="points and iterations of each stage (default: 1500:300,6000:120,20000:30)",
     )
     parser.add_argument("--article", action="store_true", help="the article's 2e7 / 2.5e6 / 2.5e6 points (hours)")
-    parser.add_argument("--seed", type=int, default=1, help="of samples and weights (default: %(default)s)")
+    parser.add_argument(
+        "--seed", type=options.whole(0, 2**32 - 1), default=1, help="of samples and weights (default: %(default)s)"
+    )
     parser.add_argument(
         "--seconds",
         type=options.seconds,
@@ -49,6 +51,7 @@ def main(args: argparse.Namespace) -> int:
 
     from hilrunner.base import status
     from hilrunner.base.errors import UsageError
+    from hilrunner.commands.targets import check_folder
     from hilrunner.setup.profile import load_profile
 
     try:
@@ -73,7 +76,7 @@ def main(args: argparse.Namespace) -> int:
     device = args.device if args.device != "auto" else ("cuda" if torch.cuda.is_available() else "cpu")
     plan = _plan(args, device)
     folder = Path(args.out)
-    folder.mkdir(parents=True, exist_ok=True)
+    check_folder(folder)
     started = time.monotonic()
     outcomes = train_recipe(recipe.problems, plan, folder, args.resume, _progress_printer(args.json))
     command = _command(args, plan)

@@ -1,0 +1,100 @@
+"""Files that commands write: refused before any work, never over the log that is read, whole or absent."""
+
+import pytest
+
+from hilrunner.base import exit_codes
+from hilrunner.base.errors import LogError, UsageError
+from hilrunner.cli import INTERRUPTED, main
+from hilrunner.commands.targets import check_folder, check_targets, whole, write_text
+
+
+def test_an_interrupted_write_leaves_what_was_there(tmp_path):
+    target = tmp_path / "run.mcap"
+    target.write_text("before")
+    with pytest.raises(KeyboardInterrupt), whole(target) as part:
+        part.write_text("half")
+        raise KeyboardInterrupt
+    assert target.read_text() == "before" and list(tmp_path.iterdir()) == [target]
+
+
+def test_a_refusal_names_the_file_the_user_named(tmp_path):
+    target = tmp_path / "run.mcap"
+    with pytest.raises(LogError, match="run.mcap: disk full") as refused, whole(target) as part:
+        raise LogError(str(part), "disk full")
+    assert "part" not in str(refused.value) and not list(tmp_path.iterdir())
+
+
+def test_a_link_stays_a_link_and_its_file_gets_the_text(tmp_path):
+    real, link = tmp_path / "real.html", tmp_path / "link.html"
+    real.write_text("old")
+    link.symlink_to(real)
+    write_text(link, "new")
+    assert link.is_symlink() and real.read_text() == "new"
+
+
+def test_the_log_that_is_read_is_no_target(tmp_path):
+    log = tmp_path / "run.mcap"
+    log.write_text("evidence")
+    (tmp_path / "other.mcap").symlink_to(log)
+    for name in ("run.mcap", "other.mcap"):
+        with pytest.raises(UsageError, match="is the log that is read"):
+            check_targets([tmp_path / name], log=log)
+
+
+@pytest.mark.parametrize("target", ["/proc/none/x.html", "/proc/x.html", "/dev/full/x.html"])
+def test_what_cannot_be_written_is_refused_before(target):
+    from pathlib import Path
+
+    with pytest.raises(UsageError, match="cannot be written"):
+        check_targets([Path(target)])
+
+
+def test_a_folder_where_a_file_is_meant_and_the_reverse(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UsageError, match="is a folder"):
+        check_targets([tmp_path])
+    with pytest.raises(UsageError, match="is not a folder"):
+        check_folder(tmp_path / "file")
+
+
+@pytest.mark.parametrize("option", ["--html", "--junit"])
+def test_report_spares_its_log(tmp_path, capsys, option):
+    log = tmp_path / "run.mcap"
+    log.write_bytes(b"\x89MCAP0\r\nand more")
+    assert main(["report", str(log), option, str(log)]) == exit_codes.BAD_INPUT
+    assert "is the log that is read" in capsys.readouterr().err
+    assert log.read_bytes() == b"\x89MCAP0\r\nand more"
+
+
+def test_simulate_refuses_targets_before_it_works(tmp_path, capsys):
+    for words, told in (
+        (["--out", "/proc/x.mcap"], "/proc/x.mcap"),
+        (["--plot", "/proc/x.png"], "/proc/x.png"),
+        (["--plot", str(tmp_path / "x.pdf")], "is not a format"),
+    ):
+        assert main(["simulate", *words]) == exit_codes.BAD_INPUT
+        assert told in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_simulate_writes_whole_files(tmp_path, capsys):
+    log, plot = tmp_path / "new" / "run.mcap", tmp_path / "run.svg"
+    words = ["simulate", "--schedule", "steps", "--duration", "0.2", "--out", str(log), "--plot", str(plot)]
+    assert main(words) == exit_codes.PASSED
+    assert sorted(path.name for path in tmp_path.rglob("*.*")) == ["run.mcap", "run.svg"]
+    assert main(["report", str(log), "--html", str(tmp_path / "pages" / "report.html")]) == exit_codes.PASSED
+    capsys.readouterr()
+
+
+def test_an_interrupt_is_no_verdict(monkeypatch, capsys):
+    """Exit code 0 means a passed verdict: an interrupted report must not claim it."""
+
+    def interrupted(_args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hilrunner.commands.report.main", interrupted)
+    assert main(["report", "run.mcap"]) == INTERRUPTED
+    assert "interrupted" in capsys.readouterr().err
+    monkeypatch.setattr("hilrunner.commands.run.main", interrupted)
+    assert main(["run"]) == exit_codes.PASSED
+    capsys.readouterr()
