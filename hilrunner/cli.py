@@ -5,6 +5,7 @@ import importlib
 import sys
 
 from hilrunner import __version__
+from hilrunner.base import exit_codes
 from hilrunner.base.errors import HilrunnerError
 
 COMMANDS = {
@@ -24,7 +25,9 @@ EXIT_CODES = """exit codes:
   0 done, verdict passed        1 verdict failed
   2 usage or bad input          3 deadline budget exceeded
   4 CAN lost                    5 cross-check out of tolerance
-  6 real-time set-up refused under --require-realtime"""
+  6 real-time set-up refused under --require-realtime
+  130 interrupted before there was a result (a run ends with the code of its verdict)"""
+INTERRUPTED = 130  # 128 + SIGINT, as shells have it: 0 would claim a verdict that nobody reached
 
 
 def build_parser(command: str) -> argparse.ArgumentParser:
@@ -73,7 +76,10 @@ def main(argv: list[str] | None = None) -> int:
         return error.exit_code
     except KeyboardInterrupt:
         print(f"hilrunner {command}: interrupted; nothing is left half done", file=sys.stderr)
-        return 0
+        return exit_codes.PASSED if command == "run" else INTERRUPTED
+    except MemoryError:
+        print(f"hilrunner {command}: out of memory; remedy: a shorter run or log, or fewer points", file=sys.stderr)
+        return exit_codes.BAD_INPUT
     except BrokenPipeError:
         sys.stderr.close()
         return 0
