@@ -21,9 +21,11 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.setup.host import bus_load_ratio
     from hilrunner.setup.profile import load_profile
     from hilrunner.setup.stability_store import stored_stability_limit_s
+    from hilrunner.setup.stimulus import load_stimulus, profile_schedule
     from hilrunner.setup.traffic import profile_traffic
 
     loaded = load_profile(args.profile)
+    load_stimulus(profile_schedule(loaded), loaded)
     armed = arm_offline(loaded, status.ENGINE_NAMES.index(args.engine))
     load = bus_load_ratio(profile_traffic(loaded, period_ns(loaded)), loaded.profile.can.bitrate)
     axes = []
@@ -38,7 +40,13 @@ def main(args: argparse.Namespace) -> int:
                 "stability_limit_us": round(limit_s * 1e6, 2),
             }
         )
-    found = {"profile": loaded.profile.name, "axes": axes, "bus_load_ratio": round(load, 4), "dbc": armed.dbc_path.name}
+    found = {
+        "profile": loaded.profile.name,
+        "axes": axes,
+        "bus_load_ratio": round(load, 4),
+        "dbc": armed.dbc_path.name,
+        "warnings": _warnings(load),
+    }
     if args.json:
         print(json.dumps(found))
         return 0
@@ -51,4 +59,16 @@ def main(args: argparse.Namespace) -> int:
     for report in armed.axes.model_reports:
         print("  " + report.text().replace("\n", "\n    "))
     print(f"  {found['dbc']}: bus load {100 * load:.1f} % of {loaded.profile.can.bitrate} bit/s")
+    for warning in found["warnings"]:
+        print(f"  warning: {warning}")
     return 0
+
+
+def _warnings(bus_load_ratio: float) -> list[str]:
+    """What a run would accept (a virtual bus has no bit rate) and a real bus would not."""
+    if bus_load_ratio <= 1.0:
+        return []
+    return [
+        f"a real bus cannot carry {100 * bus_load_ratio:.0f} %; remedy: raise can.bitrate or bench.period_us, or longer "
+        "cycle times (GenMsgCycleTime in the DBC, cycle_ms in the mapping)"
+    ]

@@ -29,9 +29,10 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.commands.targets import check_targets, whole
     from hilrunner.setup.profile import load_profile
     from hilrunner.setup.simulate import simulate
+    from hilrunner.setup.stimulus import profile_schedule
 
     loaded = load_profile(args.profile)
-    schedule = args.schedule or loaded.profile.stimulus.schedule
+    schedule = args.schedule or profile_schedule(loaded)
     output.check_format(args.plot)
     check_targets([args.out, args.plot])
     first = simulate(loaded, status.ENGINE_NAMES.index(args.engine), schedule, args.duration, output.progress("first"))

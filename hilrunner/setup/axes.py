@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hilrunner.base import status
-from hilrunner.base.errors import ProfileError
+from hilrunner.base.errors import ProfileError, StateError
 from hilrunner.base.units import M_PER_MM, N_PER_KN, NS_PER_US
 from hilrunner.plant import load as plant_load
 from hilrunner.plant import wave as plant_wave
@@ -74,9 +74,13 @@ def truth_substep_count(plant: AxisPlant, period: float) -> int:
 def initial_states(loaded: LoadedProfile, plants: list[AxisPlant], waves: list[np.ndarray]) -> np.ndarray:
     """Consistent states before the first tick, valve neutral: float64[axis, STATE_SIZE]."""
     rows = []
-    for axis, plant, wave in zip(loaded.profile.axis, plants, waves, strict=True):
+    for index, (axis, plant, wave) in enumerate(zip(loaded.profile.axis, plants, waves, strict=True)):
         scale = plant_wave.load_scale_series(wave, np.zeros(1))[0]
-        rows.append(initial_state(plant, axis.initial_position_mm * M_PER_MM, 0.0, float(scale)))
+        try:
+            rows.append(initial_state(plant, axis.initial_position_mm * M_PER_MM, 0.0, float(scale)))
+        except StateError as error:
+            place = f"{loaded.path}: axis[{index}]: {error.place}"
+            raise StateError(place, error.problem, error.limit, error.remedy) from error
     return np.array(rows)
 
 
@@ -105,7 +109,7 @@ def _axis_plant(loaded: LoadedProfile, index: int, engine: int, understood: list
         engine=engine,
         fast=axis.reference == "fast",
         parameters=parameters,
-        load=_load_table(axis.load, place),
+        load=_placed_load(axis.load, f"{place}.load"),
         substep_count=1,
         networks=None,
         position_range_m=_position_range_m(axis),
@@ -166,7 +170,14 @@ def _substeps(loaded: LoadedProfile, axis: Axis, plant: AxisPlant, place: str) -
     return wanted
 
 
-def _load_table(load: Load, place: str) -> plant_load.LoadTable:
+def _placed_load(load: Load, place: str) -> plant_load.LoadTable:
+    try:
+        return _load_table(load)
+    except ProfileError as error:
+        raise ProfileError(f"{place}: {error.place}", error.problem, error.limit, error.remedy) from error
+
+
+def _load_table(load: Load) -> plant_load.LoadTable:
     if load.kind == "constant":
         table = plant_load.constant(load.force_kn * N_PER_KN)
     elif load.kind == "table":

@@ -5,6 +5,7 @@ the limit and the remedy. Conversion to SI happens in `setup.arm`.
 """
 
 import difflib
+import math
 import re
 import tomllib
 from pathlib import Path
@@ -20,6 +21,7 @@ from hilrunner.setup.signals import AxisMapping
 
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
+_HOUR_MS, _LONGEST_S = 3_600_000.0, 1e7
 AxisName = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
 
 
@@ -55,9 +57,9 @@ class Wave(Struct, forbid_unknown_fields=True, frozen=True):
 class CommandRules(Struct, forbid_unknown_fields=True, frozen=True):
     """Ageing of commands: stale, hold, ramp to neutral, latched fail-safe."""
 
-    stale_after_ms: Positive = 50.0
-    hold_for_ms: NotNegative = 50.0
-    ramp_for_ms: NotNegative = 100.0
+    stale_after_ms: Annotated[float, Meta(gt=0, le=_HOUR_MS)] = 50.0
+    hold_for_ms: Annotated[float, Meta(ge=0, le=_HOUR_MS)] = 50.0
+    ramp_for_ms: Annotated[float, Meta(ge=0, le=_HOUR_MS)] = 100.0
 
 
 class Axis(Struct, forbid_unknown_fields=True, frozen=True):
@@ -140,9 +142,9 @@ class Fault(Struct, forbid_unknown_fields=True, frozen=True):
     axis: AxisName
     value: float = 0.0
     quantity: str | None = None
-    at_s: NotNegative | None = None
+    at_s: Annotated[float, Meta(ge=0, le=_LONGEST_S)] | None = None
     when: FaultCondition | None = None
-    duration_s: NotNegative = 0.0  # 0: until the end
+    duration_s: Annotated[float, Meta(ge=0, le=_LONGEST_S)] = 0.0  # 0: until the end
 
 
 class Stimulus(Struct, forbid_unknown_fields=True, frozen=True):
@@ -206,6 +208,7 @@ def parse_profile(text: str, place: str) -> Profile:
         profile = msgspec.convert(raw, Profile, strict=True)
     except msgspec.ValidationError as error:
         raise _explain(place, raw, str(error)) from error
+    _check_numbers(raw, place, "")
     _check_relations(profile, place)
     return profile
 
@@ -246,9 +249,13 @@ def _explain(place: str, raw: dict, message: str) -> ProfileError:
         return ProfileError(
             f"{place}: {path or 'top level'}", f"unknown key '{key}'", ", ".join(known), unit_remedy or remedy
         )
+    missing = re.search(r"missing required field `(?P<key>[^`]+)`", problem)
+    if missing:
+        return ProfileError(f"{place}: {path or 'top level'}", f"'{missing['key']}' is missing", remedy="add it")
     value = _value_at(raw, path)
-    found = f" but found {value!r}" if value is not None else ""
-    return ProfileError(f"{place}: {path or 'top level'}", f"{problem}{found}", remedy="correct the value")
+    found = f" but found {value!r}" if value is not None and repr(value) not in problem else ""
+    allowed = ", ".join(_choices(path)) if problem.startswith("Invalid enum value") else ""
+    return ProfileError(f"{place}: {path or 'top level'}", f"{problem}{found}", allowed, remedy="correct the value")
 
 
 def _unit_remedy(key: str, known: list[str]) -> str:
@@ -260,15 +267,27 @@ def _unit_remedy(key: str, known: list[str]) -> str:
     return ""
 
 
+def _choices(path: str) -> tuple[str, ...]:
+    """The words a key of the format may hold; empty where it is no choice."""
+    parent, _, key = re.sub(r"\[[^\]]*\]", "", path).rpartition(".")
+    hint = next((f.type for f in msgspec.structs.fields(_struct_at(parent) or Profile) if f.encode_name == key), None)
+    return getattr(hint, "__args__", ()) if getattr(hint, "__origin__", None) is Literal else ()
+
+
 def _known_keys(path: str) -> list[str]:
+    struct = _struct_at(path)
+    return [f.encode_name for f in msgspec.structs.fields(struct)] if struct is not None else []
+
+
+def _struct_at(path: str) -> Any:
     names = [part for part in re.sub(r"\[[^\]]*\]", "", path).split(".") if part]
     struct: Any = Profile
     for name in names:
         hint = next((f.type for f in msgspec.structs.fields(struct) if f.encode_name == name), None)
         struct = _struct_in(hint)
         if struct is None:
-            return []
-    return [f.encode_name for f in msgspec.structs.fields(struct)]
+            return None
+    return struct
 
 
 def _struct_in(hint: Any) -> Any:
@@ -290,6 +309,16 @@ def _value_at(raw: Any, path: str) -> Any:
             return None
         raw = raw[part]
     return raw if not isinstance(raw, (dict, list)) else None
+
+
+def _check_numbers(value: Any, place: str, path: str) -> None:
+    """TOML knows nan and inf; a bench has no use for either."""
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ProfileError(f"{place}: {path}", f"{value} is not a finite number", remedy="correct the value")
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, inner in items:
+        step = f"[{key}]" if isinstance(key, int) else f".{key}" if path else key
+        _check_numbers(inner, place, f"{path}{step}")
 
 
 def _check_relations(profile: Profile, place: str) -> None:
@@ -328,6 +357,15 @@ def _check_range(axis: Axis, place: str) -> None:
 def _check_load(load: Load, place: str) -> None:
     if load.kind == "constant" and load.force_kn is None:
         raise ProfileError(f"{place}.force_kn", "missing", remedy="a constant load needs force_kn")
+    for key, kind, given in (
+        ("force_kn", "constant", load.force_kn is not None),
+        ("position_mm", "table", bool(load.position_mm)),
+        ("table_force_kn", "table", bool(load.table_force_kn)),
+    ):
+        if given and load.kind != kind:
+            raise ProfileError(
+                f"{place}.{key}", f"has no effect on kind '{load.kind}'", remedy=f'remove it, or say kind = "{kind}"'
+            )
     if load.kind != "table":
         return
     position, force = load.position_mm, load.table_force_kn

@@ -6,7 +6,7 @@ import numpy as np
 
 from hilrunner.base import status
 from hilrunner.base.errors import UsageError
-from hilrunner.plant.schedule import load_schedule, sample
+from hilrunner.plant.schedule import SCHEDULES, load_schedule, sample
 from hilrunner.realtime import decode
 from hilrunner.setup.axes import period_ns, period_s
 from hilrunner.setup.bus import pack_frame
@@ -16,6 +16,13 @@ from hilrunner.setup.profile import LoadedProfile
 CAN_LOG_SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4")
 _MOST_TICKS = 100_000_000  # 28 h at 1 kHz; more does not fit in memory
 _BACKWARD_S = 1.0  # stamps of two channels in one log may be out of order by a little
+
+
+def profile_schedule(loaded: LoadedProfile) -> str:
+    """The profile's own schedule: a name, or a file beside the profile (then its path)."""
+    name = loaded.profile.stimulus.schedule
+    beside = loaded.path.parent / name
+    return str(beside) if name not in SCHEDULES and beside.is_file() else name
 
 
 def load_stimulus(name: str, loaded: LoadedProfile, duration_s: float | None = None) -> np.ndarray:

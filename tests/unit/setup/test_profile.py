@@ -1,7 +1,10 @@
 """Profiles: what ships is sound; what is wrong is refused with the place, the value, the limit and the remedy."""
 
+import json
+
 import pytest
 
+from hilrunner import cli
 from hilrunner.base.errors import ProfileError
 from hilrunner.setup.profile import available_profiles, load_profile, parse_profile
 
@@ -47,8 +50,28 @@ def test_every_shipped_profile_loads_and_is_named_like_its_file():
             ('name = "luffing"', 'name = "luffing"\n[[fault]]\nkind = "valve-stuck"\naxis = "luffing"'),
             ["fault[0]", "at_s", "when"],
         ),
+        (('name = "luffing"', 'name = "luffing"\ncircuit = "lfit"'), ["axis", "'lfit'", "lift-lines"]),
+        (("period_us = 1000", 'overrun = "drop"'), ["catch-up"]),
+        (('name = "luffing"', 'name = "luffing"\n[axis.command]\nhold_for_ms = inf'), ["hold_for_ms", "3600000"]),
+        (('name = "luffing"', 'name = "luffing"\n[axis.command]\nramp_for_ms = 1e300'), ["ramp_for_ms", "3600000"]),
+        (('name = "luffing"', 'name = "luffing"\n[axis.load]\nforce_kn = 5.0'), ["load.force_kn", "knuckle-boom"]),
+        (
+            ('name = "luffing"', 'name = "luffing"\n[axis.load]\nkind = "constant"\nforce_kn = nan'),
+            ["axis[0].load.force_kn", "nan"],
+        ),
+        (
+            (
+                'name = "luffing"',
+                'name = "luffing"\n[[fault]]\nkind = "valve-stuck"\naxis = "luffing"\nat_s = 1\nvalue = nan',
+            ),
+            ["fault[0].value", "nan"],
+        ),
+        (
+            ('name = "luffing"', 'name = "luffing"\n[[fault]]\nkind = "valve-stuck"\naxis = "luffing"\nat_s = 1e300'),
+            ["at_s", "10000000"],
+        ),
         (('name = "x"', 'name = "x'), ["not TOML"]),
-        (('name = "x"', ""), ["name"]),
+        (('name = "x"', ""), ["'name' is missing", "add it"]),
     ],
 )
 def test_bad_input_names_place_value_and_remedy(change, words):
@@ -75,3 +98,45 @@ def test_a_profile_that_is_not_there(tmp_path):
 def test_the_good_profile_is_good():
     profile = parse_profile(GOOD, "my.toml")
     assert profile.bench.period_us == 1000 and profile.axis[0].circuit == "lift"
+
+
+CHECKED = GOOD.replace('name = "luffing"', 'name = "luffing"\nmodel = "lift-flow.onnx"')
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ('[stimulus]\nschedule = "none"', ["schedule 'none'", "lift-profile"]),
+        (
+            '[[axis]]\nname = "boom"\nmodel = "lift-flow.onnx"\ninitial_position_mm = 6000',
+            ["my.toml: axis[1]", "stroke"],
+        ),
+    ],
+)
+def test_check_refuses_what_only_building_shows(tmp_path, capsys, more, words):
+    profile = tmp_path / "my.toml"
+    profile.write_text(f"{CHECKED}\n{more}\n")
+    assert cli.main(["check", str(profile)]) == 2
+    text = capsys.readouterr().err
+    for word in words:
+        assert word in text, text
+
+
+def test_a_schedule_beside_the_profile_is_found_from_anywhere(tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "bench"
+    folder.mkdir()
+    (folder / "mine.csv").write_text("time_s,valve_command\n0,0\n0.01,0.5\n")
+    (folder / "my.toml").write_text(f'{CHECKED}\n[stimulus]\nschedule = "mine.csv"\n')
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["simulate", "--profile", "bench/my.toml", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["tick_count"] == 10
+
+
+def test_check_warns_of_a_bus_that_cannot_carry_the_profile(tmp_path, capsys):
+    profile = tmp_path / "my.toml"
+    profile.write_text(f"{CHECKED}\n[can]\nbitrate = 125000\n")
+    assert cli.main(["check", str(profile), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["bus_load_ratio"] > 1 and "remedy" in found["warnings"][0]
+    assert cli.main(["check", "amc-lift", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == []
