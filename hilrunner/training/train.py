@@ -2,9 +2,10 @@
 
 import json
 import platform
+import threading
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -198,14 +199,32 @@ def _facts(problem, plan, samples, shape, progress, network: Trained, scaling) -
 def train_recipe(
     problems: tuple[Problem, ...], plan: Plan, folder: Path, resume: bool, report: Report
 ) -> list[Outcome]:
-    """All networks of a recipe, two at a time, each on one core (two threads on one small matrix only wait)."""
+    """All networks of a recipe, two at a time, each on one core (two threads on one small matrix only wait).
+
+    When one fails, or the caller is interrupted, the others end at their next report; their checkpoints stay.
+    """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
+    given_up = threading.Event()
+
+    def watched(role: str, what: str, share: float) -> None:
+        if given_up.is_set():
+            raise _GivenUpError
+        report(role, what, share)
+
+    pool = ThreadPoolExecutor(2)
     try:
-        with ThreadPoolExecutor(2) as pool:
-            return list(pool.map(lambda problem: train_problem(problem, plan, folder, resume, report), problems))
+        jobs = [pool.submit(train_problem, problem, plan, folder, resume, watched) for problem in problems]
+        wait(jobs, return_when=FIRST_EXCEPTION)
+        return [job.result() for job in jobs if job.done()]  # the one that failed raises here
     finally:
+        given_up.set()
+        pool.shutdown(wait=True, cancel_futures=True)
         torch.set_num_threads(threads)
+
+
+class _GivenUpError(Exception):
+    """Ends a training thread whose result nobody waits for."""
 
 
 def versions() -> dict[str, str]:
