@@ -133,7 +133,11 @@ def read_run(path: str | Path, columns: Columns | None = None, consumers: dict[s
     contents = scanner.run()
     collector.note_damage()
     if not collector.own_topics:
-        topics = ", ".join(sorted({channel[0] for channel in contents.channels.values()})[:8])
+        names = {channel[0] for channel in contents.channels.values()}
+        if "/rt/tick" in names:  # ours, and cut off (or ended) before its first chunk
+            why = contents.damage[0] if contents.damage_count else "the run ended before its first tick"
+            raise LogError(str(path), f"holds no tick: {why}", "a log with a tick", "nothing of this run can be saved")
+        topics = ", ".join(sorted(names)[:8])
         found = f"its topics are {topics}" if topics else "it holds no topics"
         if contents.damage_count:
             found += f"; {contents.damage[0]}"

@@ -148,3 +148,16 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     for path in (tmp_path / "none.mcap", tmp_path):
         with pytest.raises(LogError, match="cannot be read"):
             read_run(path)
+
+
+def test_a_log_of_ours_without_a_tick_is_not_called_foreign(tmp_path):
+    from hilrunner.record.mcap_log import LogWriter
+
+    path = tmp_path / "x.mcap"
+    LogWriter(path, ["luffing"], 8, {"run": {}, "host": {}}, []).close()
+    with pytest.raises(LogError, match="holds no tick: the run ended before its first tick"):
+        read_run(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: whole.index(b"/rt/tick") + 200])
+    with pytest.raises(LogError, match="cut off"):
+        read_run(path)
