@@ -20,9 +20,7 @@ from hilrunner.record import chunk, schemas
 from hilrunner.record.mcap_file import McapFile
 
 CHUNK_SIZE_BYTES = 1 << 20  # pending bytes that close a chunk
-BLOCK_SIZE_BYTES = (
-    1 << 14
-)  # of a chunk, before compression: about 24 ticks of one axis; 0.8 % larger than one block a chunk
+BLOCK_SIZE_BYTES = 1 << 14  # of a chunk, before compression: some two dozen ticks of one axis
 COMPRESSION_LEVEL = 1  # zstd; measured on ticks with frames: level 3 costs a third more time for 2 % fewer bytes
 
 LOG_LEVEL_INFO = 20

@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -15,6 +16,7 @@ from hilrunner.setup import resources
 from hilrunner.setup.profile import load_profile
 
 FACTOR = 1.01
+HARD_COMMANDS = Path(__file__).parent / "hard_commands.csv"
 DURATION_S = 4.0
 
 
@@ -59,6 +61,24 @@ def test_the_same_file_without_a_fault_passes(tmp_path):
     assert (code, replay_code) == (exit_codes.PASSED, exit_codes.PASSED), summary
     assert replay["dae"][0]["out_of_tolerance_ticks"] == 0
     assert not (run.check["luffing"]["flags"] & 1).any()
+
+
+def test_the_hardest_commands_are_no_fault(tmp_path):
+    """Full reversals and stops within one period: what missing spool mass costs stays within the tolerances."""
+    code, summary = hilrunner(
+        tmp_path, "run", "--stimulus", str(HARD_COMMANDS), "--duration", "9.9", "--log", "run.mcap",
+    )  # fmt: skip
+    assert code == exit_codes.PASSED, summary
+    found = summary["recorder"]["check"]["luffing"]
+    rules = load_profile("amc-lift").profile.crosscheck
+    for kind, allowed_mpa in (
+        ("", rules.pressure_tolerance_mpa),
+        ("sustained_", rules.sustained_pressure_tolerance_mpa),
+    ):
+        largest_mpa = max(found[f"{kind}chamber_{number}_pressure_error_pa_max"] for number in (1, 2)) * 1e-6
+        assert 0.5 * allowed_mpa < largest_mpa < allowed_mpa, (
+            "a tolerance far from what healthy networks need hides faults"
+        )
 
 
 @pytest.mark.parametrize("tensor, schedule", [("supply.weight_3", "full-lower"), ("supply.bias_3", "full-lower")])
