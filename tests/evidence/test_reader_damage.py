@@ -126,6 +126,16 @@ def test_a_cut_keeps_every_whole_tick_before_it(source, tmp_path, kind):
         assert [count for _, count in counts] == [ticks_in_whole_blocks(parts, cut) for cut, _ in counts]
 
 
+def test_no_block_of_our_logs_is_longer_than_promised(source):
+    """Fed byte by byte, a chunk comes out in steps: each is what a cut there would cost."""
+    kinds, blocks = source
+    for _, packed, ends in chunks(kinds["own"].read_bytes(), blocks["tick"]):
+        stream = zstandard.ZstdDecompressor().decompressobj()
+        steps = [len(stream.decompress(packed[k : k + 1])) for k in range(len(packed))]
+        assert sum(steps) >= ends[-1]
+        assert max(steps) <= BLOCK_SIZE_BYTES
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.data())
 def test_a_cut_lz4_block_gives_every_byte_before_the_cut(data):
