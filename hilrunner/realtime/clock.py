@@ -20,6 +20,7 @@ from hilrunner.realtime import cycles
 CLOCK_REALTIME = 0
 CLOCK_MONOTONIC = 1
 TIMER_ABSTIME = 1
+EINTR = 4
 CLOCK_WORD_COUNT = 8
 WORD_SPIN_NS = 2
 WORD_CYCLE_RATE = 3
@@ -91,17 +92,27 @@ def now_real_ns(clock):
 
 @hot
 def wait_until(clock, deadline_mono_ns):
-    """Sleep to an absolute point of CLOCK_MONOTONIC; with a spin tail, sleep short of it and spin the rest.
+    """Sleep to an absolute point of CLOCK_MONOTONIC; with a spin tail, sleep short of it and spin the rest."""
+    sleep_until(clock, deadline_mono_ns - clock[WORD_SPIN_NS])
+    if clock[WORD_SPIN_NS] > 0:
+        spin_until(clock, deadline_mono_ns)
 
-    An interrupted sleep (EINTR) returns early and the loop's own time stamp shows it; absolute time needs no remainder.
+
+@hot
+def sleep_until(clock, wake_mono_ns):
+    """Sleep to an absolute point of CLOCK_MONOTONIC; at once when it has passed.
+
+    An interrupted sleep (EINTR) is taken up again; absolute time needs no remainder.
     """
-    spin_ns = clock[WORD_SPIN_NS]
-    sleep_to_ns = deadline_mono_ns - spin_ns
-    clock[0] = sleep_to_ns // 1_000_000_000
-    clock[1] = sleep_to_ns % 1_000_000_000
-    while _clock_nanosleep(np.int32(CLOCK_MONOTONIC), np.int32(TIMER_ABSTIME), clock.ctypes, 0) == 4:  # EINTR
-        clock[0] = sleep_to_ns // 1_000_000_000
-        clock[1] = sleep_to_ns % 1_000_000_000
-    if spin_ns > 0:
-        while now_mono_ns(clock) < deadline_mono_ns:
-            pass
+    clock[0] = wake_mono_ns // 1_000_000_000
+    clock[1] = wake_mono_ns % 1_000_000_000
+    while _clock_nanosleep(np.int32(CLOCK_MONOTONIC), np.int32(TIMER_ABSTIME), clock.ctypes, 0) == EINTR:
+        clock[0] = wake_mono_ns // 1_000_000_000
+        clock[1] = wake_mono_ns % 1_000_000_000
+
+
+@hot
+def spin_until(clock, deadline_mono_ns):
+    """Read the clock until the deadline has come."""
+    while now_mono_ns(clock) < deadline_mono_ns:
+        pass

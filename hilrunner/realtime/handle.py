@@ -16,7 +16,12 @@ from numba.extending import intrinsic, overload
 
 import hilrunner.base.compiled  # noqa: F401  (chooses the cache folder first)
 
-_BY_REFERENCE = ("Ring", "Mailbox")  # parts of a Bench that are handed on whole, so they get a handle of their own
+_BY_REFERENCE = (
+    "Ring",
+    "Mailbox",
+    "CommandTable",
+    "MeasurementTable",
+)  # parts of a Bench that are handed on whole, so they get a handle of their own
 
 
 class HandleType(types.StructRef):

@@ -59,6 +59,8 @@ PROGRESS = np.dtype(
         ("carried_ns", "i8"),  # how late this tick already was when the tick before had ended; 0: in time
         ("forced_fail_safe", "i8"),  # 1: a limit forced the fail-safe at the end of the last tick
         ("flags_seen", "i8"),  # OR of all state flags
+        ("rehearsal_ns", "i8"),  # how long a rehearsal is expected to take; 0: none yet
+        ("rehearsal_ns_min", "i8"),  # the shortest so far
         ("echo_real_ns", "i8"),  # receive stamp of the command this tick answers; 0: none
     ],
     align=True,

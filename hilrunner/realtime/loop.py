@@ -18,11 +18,20 @@ from hilrunner.base.records import (
     TICK_FLAG_NEAR_MISS,
 )
 from hilrunner.realtime import command, ring
-from hilrunner.realtime.clock import WORD_CYCLE_RATE, anchor, now_mono_ns, now_real_ns, wait_until
+from hilrunner.realtime.clock import (
+    WORD_CYCLE_RATE,
+    WORD_SPIN_NS,
+    anchor,
+    now_mono_ns,
+    now_real_ns,
+    sleep_until,
+    spin_until,
+    wait_until,
+)
 from hilrunner.realtime.cycle import decode_stage, encode_stage, fill_command_record, fill_state_record, step_stage
 from hilrunner.realtime.handle import handle
 from hilrunner.realtime.histogram import record_corrected, record_value
-from hilrunner.realtime.layout import ACTION_FAIL_SAFE, ACTION_STOP
+from hilrunner.realtime.layout import ACTION_FAIL_SAFE, ACTION_STOP, Bench
 from hilrunner.realtime.miss import (
     USAGE_CPU,
     USAGE_FAULTS_MAJOR,
@@ -32,6 +41,7 @@ from hilrunner.realtime.miss import (
     read_usage,
     suspect_cause,
 )
+from hilrunner.realtime.rehearsal import rehearsal_of, rehearse
 from hilrunner.realtime.socketcan import receive_frames, send_frames
 
 _STRIDE = ring_layout.HEADER_STRIDE
@@ -42,10 +52,10 @@ _PERIOD = HISTOGRAM_NAMES.index("period")
 _COMMAND_AGE = HISTOGRAM_NAMES.index("command_age")
 _RESPONSE = HISTOGRAM_NAMES.index("response")
 NO_BUS = -1
+_REHEARSAL_SLACK_NS = 2_000  # between the expected end of a rehearsal and the deadline
 
 
-@entry
-def run_loop(bench, descriptor, start_mono_ns, tick_limit):
+def run_loop(bench: Bench, descriptor: int, start_mono_ns: int, tick_limit: int) -> int:
     """Run ticks 0 … tick_limit - 1 on the grid start_mono_ns + tick period.
 
     Args:
@@ -54,12 +64,17 @@ def run_loop(bench, descriptor, start_mono_ns, tick_limit):
     Returns:
         status.EXIT_*.
     """
-    return _run(handle(bench), descriptor, start_mono_ns, tick_limit)
+    return _run_compiled(bench, rehearsal_of(bench), descriptor, start_mono_ns, tick_limit)
+
+
+@entry
+def _run_compiled(bench, shadow, descriptor, start_mono_ns, tick_limit):
+    return _run(handle(bench), handle(shadow), descriptor, start_mono_ns, tick_limit)
 
 
 @hot
-def _run(bench, descriptor, start_mono_ns, tick_limit):
-    """The loop itself; `bench` is a handle from here on."""
+def _run(bench, shadow, descriptor, start_mono_ns, tick_limit):
+    """The loop itself; `bench` and `shadow` are handles from here on."""
     progress = bench.progress[0]
     config = bench.config[0]
     period_ns = config["period_ns"]
@@ -76,7 +91,7 @@ def _run(bench, descriptor, start_mono_ns, tick_limit):
         ahead_ns = deadline_mono_ns - now_mono_ns(bench.clock)
         progress["carried_ns"] = max(-ahead_ns, 0)
         if ahead_ns > 0:
-            wait_until(bench.clock, deadline_mono_ns)
+            _wait(bench, shadow, descriptor, tick, deadline_mono_ns)
         wake_ns = anchor(bench.clock)  # before anything of the tick is touched: those memory lines are cold
         reason = _run_tick(bench, descriptor, tick, skipped, deadline_mono_ns, wake_ns)
         late_ns = now_mono_ns(bench.clock) - (deadline_mono_ns + period_ns)
@@ -87,6 +102,49 @@ def _run(bench, descriptor, start_mono_ns, tick_limit):
             bench.ring.header[ring_layout.WORD_SKIPPED_TOTAL * _STRIDE] += skipped
         tick += 1 + skipped
     return reason
+
+
+@hot
+def _wait(bench, shadow, descriptor, tick, deadline_mono_ns):
+    """Sleep to the deadline; with a spin tail, sleep short of it, spin, and rehearse the tick just before its time."""
+    clock = bench.clock
+    spin_ns = clock[WORD_SPIN_NS]
+    if spin_ns == 0:
+        wait_until(clock, deadline_mono_ns)
+        return
+    sleep_until(clock, deadline_mono_ns - spin_ns)
+    progress = bench.progress[0]
+    room_ns = _rehearsal_room_ns(progress, spin_ns)
+    latest_mono_ns = deadline_mono_ns - room_ns + _REHEARSAL_SLACK_NS
+    if progress["rehearsal_ns"] == 0:
+        latest_mono_ns = deadline_mono_ns  # the first one may take what is left
+    if room_ns > 0 and now_mono_ns(clock) < latest_mono_ns:
+        spin_until(clock, deadline_mono_ns - room_ns)
+        begin_mono_ns = now_mono_ns(clock)
+        rehearse(bench, shadow, descriptor, tick)
+        _learn_rehearsal(progress, now_mono_ns(clock) - begin_mono_ns)
+    spin_until(clock, deadline_mono_ns)
+
+
+@hot
+def _rehearsal_room_ns(progress, spin_ns):
+    """How long before the deadline a rehearsal has to begin; 0: the spin tail is too short for one."""
+    if progress["rehearsal_ns"] == 0:
+        return spin_ns  # the first one tells how long they take
+    expected_ns = progress["rehearsal_ns"]
+    if expected_ns + (expected_ns >> 2) + _REHEARSAL_SLACK_NS > spin_ns:
+        expected_ns = progress["rehearsal_ns_min"]  # the last one was held up, or there never is enough room
+    room_ns = expected_ns + (expected_ns >> 2) + _REHEARSAL_SLACK_NS
+    return room_ns if room_ns <= spin_ns else np.int64(0)
+
+
+@hot
+def _learn_rehearsal(progress, took_ns):
+    """Follow a longer rehearsal at once and a shorter one slowly."""
+    before_ns = progress["rehearsal_ns"]
+    shortest_ns = progress["rehearsal_ns_min"]
+    progress["rehearsal_ns"] = max(took_ns, before_ns - ((before_ns - took_ns) >> 4))
+    progress["rehearsal_ns_min"] = took_ns if shortest_ns == 0 else min(took_ns, shortest_ns)
 
 
 @hot

@@ -16,6 +16,7 @@ FRAME_SIZE_CLASSIC = 16
 FRAME_SIZE_FD = 72
 RECEIVE_BATCH = 64  # frames one system call takes; a burst needs several
 CONTROL_SIZE = 64
+MSG_PEEK = 0x02
 MSG_DONTWAIT = 0x40
 SOL_SOCKET = 1
 SCM_TIMESTAMPNS = 35
@@ -64,6 +65,7 @@ def make_mailbox(frame_count: int) -> Mailbox:
         box.message[k, 2] = box.vector[k].ctypes.data  # msg_iov
         box.message[k, 3] = 1  # msg_iovlen
         box.message[k, 4] = box.control[k].ctypes.data  # msg_control
+        box.message[k, 5] = CONTROL_SIZE
     return box
 
 
@@ -83,11 +85,6 @@ def receive_frames(descriptor, box):
     room = box.frame.shape[0]
     while count < room:
         wanted = min(RECEIVE_BATCH, room - count)
-        for k in range(count, count + wanted):
-            box.message[k, 0] = 0
-            box.message[k, 1] = 0
-            box.message[k, 5] = CONTROL_SIZE
-            box.message[k, 6] = 0
         got = np.int64(
             _recvmmsg(np.int32(descriptor), box.message[count:].ctypes, np.uint32(wanted), np.int32(MSG_DONTWAIT), 0)
         )
@@ -97,12 +94,34 @@ def receive_frames(descriptor, box):
                 return count
             return -error
         for k in range(count, count + got):
-            box.size_bytes[k] = box.message[k, 7] & 0xFFFFFFFF
-            _read_control(box, k)
+            _take_message(box, k)
         count += got
         if got < wanted:
             return count
     return count
+
+
+@hot
+def peek_frame(descriptor, box):
+    """The oldest waiting frame into the first place of the mailbox, left in the queue: 1, or 0 when there is none."""
+    got = np.int64(
+        _recvmmsg(np.int32(descriptor), box.message.ctypes, np.uint32(1), np.int32(MSG_DONTWAIT | MSG_PEEK), 0)
+    )
+    if got < 1:
+        return 0
+    _take_message(box, 0)
+    return 1
+
+
+@hot
+def _take_message(box, k):
+    """Size and ancillary data of message k, its header made ready for the next one."""
+    box.size_bytes[k] = box.message[k, 7] & 0xFFFFFFFF
+    _read_control(box, k)
+    # as make_mailbox laid it: the kernel wrote into the headers of the messages it filled and into no others
+    box.message[k, 1] = 0  # msg_namelen
+    box.message[k, 5] = CONTROL_SIZE
+    box.message[k, 6] = 0  # msg_flags
 
 
 @hot

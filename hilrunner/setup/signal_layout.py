@@ -1,4 +1,4 @@
-"""One DBC signal becomes one row of realtime.bits.SIGNAL: segments, scale to SI, range on the wire.
+"""One DBC signal becomes one row of realtime.bits.SIGNAL: where its bits lie, scale to SI, range on the wire.
 
 Decimal numbers of the DBC are taken as exact fractions: 16384 * 0.006103515625 % is exactly 1, not nearly.
 """
@@ -43,16 +43,36 @@ def bit_places(start: int, length: int, byte_order: str) -> list[int]:
     return places[::-1]
 
 
-def segments(places: list[int]) -> list[tuple[int, int, int, int]]:
-    """(byte, shift, width, raw place) of each run of bits within one byte."""
-    out: list[tuple[int, int, int, int]] = []
-    for raw, place in enumerate(places):
-        if out and out[-1][0] == place // 8 and out[-1][1] + out[-1][2] == place % 8:
-            byte, shift, width, first = out[-1]
-            out[-1] = (byte, shift, width + 1, first)
+def windows(places: list[int], big_endian: bool) -> list[tuple[int, int, int, int]]:
+    """(first byte, shift, width, raw place) of each window of eight data bytes that a signal is read from; one or two.
+
+    Args:
+        places: from bit_places. big_endian: the first byte of a window is its highest.
+    """
+    out = []
+    raw = 0
+    while raw < len(places):
+        byte, bit = divmod(places[raw], 8)
+        if big_endian:  # the lowest bit lies in the last byte
+            first = max(byte - (bits.WINDOW_BYTES - 1), 0)
+            shift = 8 * (first + bits.WINDOW_BYTES - 1 - byte) + bit
         else:
-            out.append((place // 8, place % 8, 1, raw))
+            first = min(byte, encode.DATA_SIZE_MAX - bits.WINDOW_BYTES)
+            shift = 8 * (byte - first) + bit
+        width = min(len(places) - raw, 8 * bits.WINDOW_BYTES - shift)
+        out.append((first, shift, width, raw))
+        raw += width
     return out
+
+
+def _window_bits(row: np.ndarray) -> int:
+    """The data bits a signal takes, as one number: data byte b holds bits 8 b … 8 b + 7."""
+    own = 0
+    for index in range(int(row["window_count"])):
+        word = int(row["window_mask"][index]) << int(row["window_shift"][index])
+        raw = word.to_bytes(bits.WINDOW_BYTES, "big" if row["big_endian"] else "little")
+        own |= int.from_bytes(raw, "little") << 8 * int(row["window_byte"][index])
+    return own
 
 
 def row(where: str, signal, factor: Fraction, modulus: bool) -> np.ndarray:
@@ -63,13 +83,14 @@ def row(where: str, signal, factor: Fraction, modulus: bool) -> np.ndarray:
     if scale == 0 or factor == 0:
         raise DbcError(where, "a scale of 0 carries nothing")
     out = np.zeros((), bits.SIGNAL)
-    cut = segments(bit_places(signal.start, signal.length, signal.byte_order))
-    out["segment_count"] = len(cut)
-    for index, (byte, shift, width, first) in enumerate(cut):
-        out["segment_byte"][index] = byte
-        out["segment_shift"][index] = shift
-        out["segment_mask"][index] = (1 << width) - 1
-        out["segment_place"][index] = first
+    out["big_endian"] = signal.byte_order == "big_endian"
+    cut = windows(bit_places(signal.start, signal.length, signal.byte_order), bool(out["big_endian"]))
+    out["window_count"] = len(cut)
+    for index, (first, shift, width, place) in enumerate(cut):
+        out["window_byte"][index] = first
+        out["window_shift"][index] = shift
+        out["window_mask"][index] = (1 << width) - 1
+        out["window_place"][index] = place
     out["kind"] = _kind(where, signal)
     out["bit_mask"] = (1 << signal.length) - 1
     out["sign_bit"] = 1 << (signal.length - 1) if out["kind"] == bits.KIND_SIGNED else 0
@@ -150,10 +171,7 @@ def check_room(where: str, length: int, rows: list[np.ndarray], protected: bool)
     """Every mapped signal inside the message, no two on the same bits, none on CRC or counter."""
     used = 0x0FFF if protected else 0
     for out in rows:
-        own = 0
-        for index in range(int(out["segment_count"])):
-            byte = int(out["segment_byte"][index])
-            own |= int(out["segment_mask"][index]) << int(out["segment_shift"][index]) << 8 * byte
+        own = _window_bits(out)
         if own >> 8 * length:
             raise DbcError(where, "a mapped signal reaches beyond the message", f"{length} bytes")
         if own & used:

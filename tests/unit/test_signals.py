@@ -7,7 +7,7 @@ import pytest
 from hilrunner.base import status
 from hilrunner.base.errors import DbcError
 from hilrunner.realtime import bits, decode, encode
-from hilrunner.setup import signals
+from hilrunner.setup import signal_layout, signals
 from tests.tools import codec_entries, contract
 from tests.tools.make_dbc import Msg, Sig, write
 
@@ -238,5 +238,21 @@ def test_mappings_come_from_toml():
         msgspec.toml.decode(text.replace("control =", "contrl ="), type=signals.AxisMapping)
 
 
-def test_signal_rows_touch_nine_bytes_at_most():
-    assert bits.SEGMENT_COUNT_MAX * 8 >= 64 + 7
+def test_a_signal_of_nine_bytes_is_read_through_two_windows():
+    places = signal_layout.bit_places(3, 64, "little_endian")
+    assert signal_layout.windows(places, False) == [(0, 3, 61, 0), (8, 0, 3, 61)]
+    assert len(places) == 64 and places[-1] // 8 == 8
+    assert bits.WINDOW_COUNT_MAX * 8 * bits.WINDOW_BYTES >= 64 + 7
+
+
+@pytest.mark.parametrize("byte_order", ["little_endian", "big_endian"])
+def test_no_window_reaches_beyond_the_data(byte_order):
+    for start in range(512):
+        for length in (1, 12, 57, 64):
+            places = signal_layout.bit_places(start, length, byte_order)
+            if not 0 <= min(places) <= max(places) < 512:
+                continue
+            cut = signal_layout.windows(places, byte_order == "big_endian")
+            assert 1 <= len(cut) <= bits.WINDOW_COUNT_MAX
+            assert all(0 <= first <= 56 and 0 <= shift < 64 for first, shift, _, _ in cut)
+            assert sum(width for _, _, width, _ in cut) == length

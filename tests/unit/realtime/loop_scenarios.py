@@ -26,6 +26,7 @@ from hilrunner.setup.profile import load_profile  # noqa: E402
 START_NS = 1_000_000_000
 PERIOD_NS = 1_000_000
 READ_COST_NS = 10
+REHEARSAL_NS = 40_000
 WORD_NOW = WORD_FAKE  # word of the clock array that holds the simulated time
 
 PROFILE = """
@@ -61,13 +62,15 @@ def axes_of(loaded):
 class World:
     """What the scenario plans: durations of steps, lateness of wake-ups, errors of the bus, all by tick."""
 
-    def __init__(self, steps=None, wakes=None, receive=None, send=None, flags=None, stop_at=None):
+    def __init__(self, steps=None, wakes=None, receive=None, send=None, flags=None, stop_at=None, rehearsals=None):
         self.steps = steps or {}
         self.wakes = wakes or {}
         self.receive = receive or {}
         self.send = send or {}
         self.flags = flags or {}
         self.stop_at = stop_at
+        self.rehearsals = rehearsals or {}  # tick -> how long its rehearsal takes, ns
+        self.rehearsed = []  # (tick, ns before its deadline at the start, at the end)
         self.ran = []  # (tick, periods advanced, start of the step on the simulated clock)
 
 
@@ -79,8 +82,17 @@ def bind(world: World) -> None:
         return int(clock[WORD_NOW])
 
     def wait(clock, deadline_ns):
-        tick = (deadline_ns - START_NS) // PERIOD_NS
+        tick = -((START_NS - deadline_ns) // PERIOD_NS)  # the tick a spin tail belongs to
         clock[WORD_NOW] = max(clock[WORD_NOW], deadline_ns + world.wakes.get(int(tick), 0))
+
+    def spin(clock, until_ns):
+        clock[WORD_NOW] = max(clock[WORD_NOW], until_ns)
+
+    def rehearse(bench, shadow, descriptor, tick):
+        deadline_ns = START_NS + tick * PERIOD_NS
+        begin_ns = int(bench.clock[WORD_NOW])
+        bench.clock[WORD_NOW] += world.rehearsals.get(int(tick), REHEARSAL_NS)
+        world.rehearsed.append((int(tick), int(deadline_ns) - begin_ns, int(deadline_ns) - int(bench.clock[WORD_NOW])))
 
     def step(bench, tick, periods):
         world.ran.append((int(tick), int(periods), int(bench.clock[WORD_NOW])))
@@ -93,7 +105,9 @@ def bind(world: World) -> None:
         return lambda descriptor, box, *rest: bench_tick_table.get(len(world.ran), 0)
 
     loop.now_mono_ns = loop.now_real_ns = loop.anchor = now
-    loop.wait_until = wait
+    loop.wait_until = loop.sleep_until = wait
+    loop.spin_until = spin
+    loop.rehearse = rehearse
     loop.step_stage = step
     loop.encode_stage = lambda bench, tick: 0 if not world.send else 1
     loop.receive_frames = current(world.receive)
@@ -101,7 +115,7 @@ def bind(world: World) -> None:
     loop.read_usage = lambda *arguments: None
 
 
-def run(world: World, ticks: int, overrun="skip", warm_up=0, more="", descriptor=-1, stimulus=None) -> dict:
+def run(world: World, ticks: int, overrun="skip", warm_up=0, more="", descriptor=-1, stimulus=None, spin_ns=0) -> dict:
     """One scenario; what happened, as plain numbers."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scenario.toml"
@@ -109,7 +123,7 @@ def run(world: World, ticks: int, overrun="skip", warm_up=0, more="", descriptor
         loaded = load_profile(str(path))
         shape = ring_shape(loaded, 0.1)
         ring = local_ring(shape)
-        armed = arm(loaded, axes_of(loaded), ring, record=True, stimulus=stimulus)
+        armed = arm(loaded, axes_of(loaded), ring, record=True, stimulus=stimulus, spin_ns=spin_ns)
     bench = armed.bench
     bench.clock[WORD_NOW] = START_NS - 500_000
     bind(world)
@@ -121,6 +135,7 @@ def run(world: World, ticks: int, overrun="skip", warm_up=0, more="", descriptor
     return {
         "reason": int(reason),
         "ran": world.ran,
+        "rehearsed": world.rehearsed,
         "miss_count": int(progress["miss_count"]),
         "skipped_count": int(progress["skipped_count"]),
         "warned_count": int(progress["warned_count"]),
@@ -174,6 +189,10 @@ SCENARIOS = {
     "stop_request": lambda: run(World(stop_at=5), 1000),
     "stimulus_end": lambda: run(World(), 1000, stimulus=np.zeros((7, 1))),
     "no_ticks": lambda: run(World(), 0),
+    "rehearsed": lambda: run(World(), 12, spin_ns=200_000),
+    "rehearsal_held_up": lambda: run(World(rehearsals={4: 500_000}), 12, spin_ns=200_000),
+    "rehearsal_too_long": lambda: run(World(), 12, spin_ns=50_000),
+    "rehearsal_woken_late": lambda: run(World(wakes={6: 170_000}), 12, spin_ns=200_000),
     "ring_full": lambda: run(World(), 300),
 }
 

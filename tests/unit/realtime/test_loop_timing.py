@@ -150,6 +150,34 @@ def test_other_ends(happened):
     assert happened["no_ticks"]["ran"] == []
 
 
+def test_a_rehearsal_ends_just_before_the_deadline(happened):
+    result = happened["rehearsed"]
+    assert [tick for tick, _, _ in result["rehearsed"]] == list(range(12))
+    assert result["rehearsed"][0][1] == pytest.approx(200_000, abs=100), "the first one tells how long they take"
+    assert all(5_000 < left_ns < 15_000 for _, _, left_ns in result["rehearsed"][1:])
+    assert all(0 <= wake - deadline <= 50 for wake, deadline in zip(result["wakes"], result["deadlines"], strict=True))
+
+
+def test_a_rehearsal_that_was_held_up_is_not_the_last(happened):
+    result = happened["rehearsal_held_up"]
+    assert [tick for tick, _, _ in result["rehearsed"]] == list(range(12))
+    assert result["rehearsed"][4][2] < 0, "this one ran past its deadline"
+    late = [wake - deadline for wake, deadline in zip(result["wakes"], result["deadlines"], strict=True)]
+    assert [tick for tick, value in enumerate(late) if value > 50] == [4] and result["miss_count"] == 0
+
+
+def test_no_rehearsal_where_the_spin_tail_is_too_short(happened):
+    result = happened["rehearsal_too_long"]
+    assert [tick for tick, _, _ in result["rehearsed"]] == [0]
+    assert all(0 <= wake - deadline <= 50 for wake, deadline in zip(result["wakes"], result["deadlines"], strict=True))
+
+
+def test_no_rehearsal_when_woken_too_late_for_it(happened):
+    result = happened["rehearsal_woken_late"]
+    assert [tick for tick, _, _ in result["rehearsed"]] == [0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 11]
+    assert all(0 <= wake - deadline <= 50 for wake, deadline in zip(result["wakes"], result["deadlines"], strict=True))
+
+
 def test_a_full_ring_drops_whole_ticks_and_counts_them(happened):
     result = happened["ring_full"]
     assert len(result["ran"]) == 300
