@@ -7,6 +7,7 @@ import sys
 from hilrunner import __version__
 from hilrunner.base import exit_codes
 from hilrunner.base.errors import HilrunnerError
+from hilrunner.commands.options import Parser
 
 COMMANDS = {
     "run": "the main job: a firmware on CAN drives the simulated actuator (default when the first word is an option)",
@@ -33,7 +34,7 @@ INTERRUPTED = 130  # 128 + SIGINT, as shells have it: 0 would claim a verdict th
 def build_parser(command: str) -> argparse.ArgumentParser:
     """The parser of one command."""
     module = importlib.import_module(f"hilrunner.commands.{command}")
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=f"hilrunner {command}",
         description=module.__doc__,
         epilog=EXIT_CODES,

@@ -22,16 +22,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--profile", metavar="NAME|FILE", help="take period and bus load from this profile")
     parser.add_argument(
         "--period-us",
-        type=option_types.whole(50, 1_000_000, "us"),
+        type=option_types.period_us,
         metavar="N",
         help="period the wake-ups are judged by (default 1000)",
     )
     parser.add_argument(
-        "--cpu", type=int, default=-1, metavar="N", help="core of the loop (default: the best there is)"
+        "--cpu", type=option_types.core, default=-1, metavar="N", help="core of the loop (default: the best there is)"
     )
     parser.add_argument(
         "--priority",
-        type=option_types.whole(0, 99),
+        type=option_types.priority,
         default=80,
         metavar="N",
         help="SCHED_FIFO priority to try (default 80)",

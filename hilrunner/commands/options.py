@@ -1,33 +1,93 @@
-"""Numbers on the command line, refused with their limits before anything starts."""
+"""Numbers on the command line, refused with option, value, limit and remedy before anything is loaded."""
 
 import argparse
 from collections.abc import Callable
 
 LONGEST_S = 1e7  # four months: ticks and nanoseconds stay far inside 64 bits
+PERIOD_US = 50, 1_000_000  # as in the profile (bench.period_us)
+PRIORITY_MAX = 99  # of SCHED_FIFO
+PORT_MAX = 65535
+
+
+class Parser(argparse.ArgumentParser):
+    """Says what is wrong in one line; the usage of some thirty options above it would hide it."""
+
+    def error(self, message: str):
+        """End with exit code 2."""
+        self.exit(2, f"{self.prog}: {message.removeprefix('argument ')}; see {self.prog} --help\n")
 
 
 def seconds(text: str) -> float:
     """A duration above 0, finite."""
-    value = _read(float, text, "seconds")
+    value = _read(float, text, "a number of seconds")
     if not 0.0 < value <= LONGEST_S:
-        raise argparse.ArgumentTypeError(f"{text} s; allowed: above 0 to {LONGEST_S:g} s")
+        raise _refused(f"{text} s", f"above 0 to {LONGEST_S:g} s", "choose a duration in this range")
     return value
+
+
+def seconds_from(low: float) -> Callable[[str], float]:
+    """A duration of at least `low` seconds, finite."""
+
+    def read(text: str) -> float:
+        value = _read(float, text, "a number of seconds")
+        if not low <= value <= LONGEST_S:
+            raise _refused(f"{text} s", f"{low:g} to {LONGEST_S:g} s", "choose a duration in this range")
+        return value
+
+    return read
 
 
 def whole(low: int, high: int, unit: str = "") -> Callable[[str], int]:
     """A whole number from `low` to `high`."""
+    behind = f" {unit}" if unit else ""
 
     def read(text: str) -> int:
         value = _read(int, text, "a whole number")
         if not low <= value <= high:
-            raise argparse.ArgumentTypeError(f"{text}; allowed: {low} to {high}{' ' * bool(unit)}{unit}")
+            raise _refused(f"{text}{behind}", f"{low} to {high}{behind}", "choose a number in this range")
         return value
 
     return read
+
+
+period_us = whole(*PERIOD_US, "us")
+priority = whole(0, PRIORITY_MAX)
+port = whole(0, PORT_MAX)
+
+
+def core(text: str) -> int:
+    """The number of a core the kernel runs on, or -1: none is asked for."""
+    from hilrunner.setup.host_cpu import online
+    from hilrunner.setup.host_words import HostFiles
+
+    value = _read(int, text, "a whole number")
+    there = sorted(online(HostFiles()))
+    if value != -1 and value not in there:
+        listed = ", ".join(map(str, there)) if len(there) <= 8 else f"{there[0]} to {there[-1]}"
+        raise _refused(f"no core {text}", f"{listed}; -1: none", "choose one of these cores")
+    return value
+
+
+def check_duration(duration_s: float | None, period_us: int) -> None:
+    """Refuse a --duration in which no period fits; UsageError."""
+    if duration_s is None or duration_s >= period_us * 1e-6:
+        return
+    from hilrunner.base.errors import UsageError
+
+    raise UsageError(
+        "--duration",
+        f"{duration_s:g} s is shorter than one period",
+        f"at least {period_us * 1e-6:g} s (the period is {period_us} us)",
+        "raise it, or leave it out",
+    )
 
 
 def _read(kind: type, text: str, name: str):
     try:
         return kind(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"'{text}' is not {name}") from None
+        raise argparse.ArgumentTypeError(f"'{text}' is not {name}; remedy: write {name}") from None
+
+
+def _refused(value: str, limit: str, remedy: str) -> argparse.ArgumentTypeError:
+    return argparse.ArgumentTypeError(f"{value}; allowed: {limit}; remedy: {remedy}")

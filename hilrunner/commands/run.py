@@ -37,11 +37,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     run.add_argument("--log", type=Path, metavar="FILE.mcap", help="default: runs/<UTC>-<profile>.mcap")
     run.add_argument("--no-log", action="store_true", help="write no log")
     run.add_argument(
-        "--live", nargs="?", type=int, const=8765, metavar="PORT", help="Foxglove WebSocket (default port 8765)"
+        "--live",
+        nargs="?",
+        type=options.port,
+        const=8765,
+        metavar="PORT",
+        help="Foxglove WebSocket (default port 8765)",
     )
     run.add_argument("--json", action="store_true", help="summary as one JSON object on stdout")
     timing = parser.add_argument_group("timing")
-    timing.add_argument("--period-us", type=int, metavar="N", help="in place of the profile's period")
+    timing.add_argument("--period-us", type=options.period_us, metavar="N", help="in place of the profile's period")
     timing.add_argument("--overrun", choices=("skip", "catch-up", "stop"), help="in place of the profile's policy")
     timing.add_argument(
         "--spin-us",
@@ -49,10 +54,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="sleep short of the deadline and spin the rest",
     )
+    timing.add_argument("--cpu", type=options.core, default=-1, metavar="N", help="bind the loop to this core")
     timing.add_argument(
-        "--cpu", type=options.whole(-1, 4095), default=-1, metavar="N", help="bind the loop to this core"
+        "--priority", type=options.priority, default=80, metavar="N", help="SCHED_FIFO priority; 0: do not ask"
     )
-    timing.add_argument("--priority", type=int, default=80, metavar="N", help="SCHED_FIFO priority; 0: do not ask")
     timing.add_argument("--require-realtime", action="store_true", help="refuse to run (exit 6) unless all is granted")
 
 

@@ -32,6 +32,7 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.setup.stimulus import profile_schedule
 
     loaded = load_profile(args.profile)
+    options.check_duration(args.duration, loaded.profile.bench.period_us)
     schedule = args.schedule or profile_schedule(loaded)
     output.check_format(args.plot)
     check_targets([args.out, args.plot])

@@ -1,6 +1,7 @@
 """`hilrunner run` with bad input: one clear line on stderr that names place, value, limit or remedy, the documented exit code, nothing written."""
 
 import gc
+import os
 
 import pytest
 
@@ -18,8 +19,16 @@ BAD = {
         exit_codes.BAD_INPUT,
         ["amc-lif", "did you mean 'amc-lift'"],
     ),
-    "impossible period": (["--period-us", "3", *SCHEDULE], exit_codes.BAD_INPUT, ["--period-us", "3 us", "50 to"]),
-    "priority": (["--priority", "120", *SCHEDULE], exit_codes.BAD_INPUT, ["--priority", "120", "99"]),
+    "less than a period": (
+        ["--stimulus", "hold", "--duration", "1e-9"],
+        exit_codes.BAD_INPUT,
+        ["--duration", "1e-09 s", "shorter than one period", "at least 0.001 s"],
+    ),
+    "less than the period asked for": (
+        ["--stimulus", "hold", "--duration", "0.001", "--period-us", "2000"],
+        exit_codes.BAD_INPUT,
+        ["--duration", "at least 0.002 s"],
+    ),
     "no such schedule": (["--stimulus", "none.csv"], exit_codes.BAD_INPUT, ["none.csv", "lift-profile"]),
     "unwritable log": ([*SCHEDULE, "--log", "/proc/none/x.mcap"], exit_codes.BAD_INPUT, ["/proc/none", "--log"]),
     "log is a folder": ([*SCHEDULE, "--log", "."], exit_codes.BAD_INPUT, ["--log", "directory"]),
@@ -77,33 +86,70 @@ def test_the_overview_names_every_command(capsys):
         assert word in out
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["run", "--duration", "inf"],
-        ["run", "--duration", "nan"],
-        ["run", "--duration", "0"],
-        ["run", "--spin-us", "-5"],
-        ["run", "--cpu", "-5"],
-        ["run", "-b", "-5"],
-        ["simulate", "--duration", "nan"],
-        ["simulate", "--duration", "-1"],
-        ["replay", "run.mcap", "--duration", "inf"],
-        ["doctor", "--seconds", "nan"],
-        ["train", "--seconds", "soon"],
-    ],
-)
-def test_a_number_out_of_range(words, capsys):
+SECONDS = "allowed: above 0 to 1e+07 s"
+OUT_OF_RANGE = [
+    ("run --duration inf", SECONDS),
+    ("run --duration nan", SECONDS),
+    ("run --duration 0", SECONDS),
+    ("run --spin-us -5", "allowed: 0 to 10000 us"),
+    ("run --cpu -5", "no core -5; allowed: 0"),
+    ("run --cpu 99999", "no core 99999; allowed: 0"),
+    ("run -b -5", "allowed: 10000 to 8000000 bit/s"),
+    ("run --period-us 3", "3 us; allowed: 50 to 1000000 us"),
+    ("run --period-us 1e3", "a whole number"),
+    ("run --priority 120", "allowed: 0 to 99"),
+    ("run --live 99999999", "allowed: 0 to 65535"),
+    ("simulate --duration nan", SECONDS),
+    ("simulate --duration -1", SECONDS),
+    ("replay run.mcap --duration inf", SECONDS),
+    ("doctor --seconds nan", SECONDS),
+    ("doctor --cpu 99999", "no core 99999"),
+    ("train --seconds soon", "a number of seconds"),
+    ("bench --rounds 0", "allowed: 1 to 1000"),
+    ("bench --slice-s nan", "nan s; allowed: 0.02 to 1e+07 s"),
+    ("bench --slice-s -1", "allowed: 0.02"),
+    ("bench --slice-s 0", "allowed: 0.02"),
+    ("bench --log-s nan", "allowed: 0.02"),
+    ("bench --cpu 99999", "no core 99999"),
+    ("bench --priority 100", "allowed: 0 to 99"),
+    ("bench --spin-us -1", "allowed: 0 to 10000 us"),
+]
+
+
+@pytest.mark.parametrize(("line", "told"), OUT_OF_RANGE)
+def test_a_number_out_of_range(line, told, capsys, monkeypatch):
+    words = line.split()
+    monkeypatch.setattr(f"hilrunner.commands.{words[0]}.main", lambda _: pytest.fail("the command went to work"))
     with pytest.raises(SystemExit) as ended:
         main(words)
     assert ended.value.code == exit_codes.BAD_INPUT
-    last = capsys.readouterr().err.strip().splitlines()[-1]
-    assert words[-2] in last and words[-1] in last, last
+    (only,) = capsys.readouterr().err.splitlines()
+    for word in (words[-2], words[-1], told, "remedy:"):
+        assert word in only, only
+
+
+def test_a_duration_without_a_period_is_refused_before_anything_is_built(monkeypatch, capsys):
+    monkeypatch.setattr("hilrunner.commands.run_session.Session", lambda *_: pytest.fail("a session was made"))
+    monkeypatch.setattr("hilrunner.setup.simulate.simulate", lambda *_: pytest.fail("a plant was built"))
+    for command in (["run", "--stimulus", "hold"], ["simulate"]):
+        assert main([*command, "--duration", "0.0009"]) == exit_codes.BAD_INPUT
+        assert "shorter than one period" in capsys.readouterr().err
+
+
+def test_no_core_is_asked_for_by_minus_one_and_each_core_there_is_may_be_named():
+    from hilrunner.commands import options
+
+    assert options.core("-1") == -1
+    assert [options.core(str(core)) for core in sorted(os.sched_getaffinity(0))] == sorted(os.sched_getaffinity(0))
 
 
 def test_a_refused_start_leaves_a_file_of_somebody_else_alone(in_an_empty_folder, capsys):
     """The log cannot be opened, so the file under its name is not the run's to delete."""
     theirs = in_an_empty_folder / "evidence.txt"
     theirs.write_text("kept")
-    assert main(["run", *SCHEDULE, "--log", str(theirs), "--live", "99999999"]) == exit_codes.BAD_INPUT
-    assert "--live" in capsys.readouterr().err and theirs.read_text() == "kept"
+    change = 'model = "none.onnx"'
+    profile = in_an_empty_folder / "mine.toml"
+    profile.write_text(f'name = "mine"\n[[axis]]\nname = "luffing"\n{change}\n')
+    words = ["run", "--profile", str(profile), *SCHEDULE, "--log", str(theirs)]
+    assert main(words) == exit_codes.BAD_INPUT
+    assert "none.onnx" in capsys.readouterr().err and theirs.read_text() == "kept"
