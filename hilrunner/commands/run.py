@@ -63,6 +63,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def main(args: argparse.Namespace) -> int:
     """Run, print, and turn the outcome into the documented exit code."""
+    if args.live is not None:
+        from hilrunner.record.live_port import check_live_port
+
+        check_live_port(args.live)
     from hilrunner.commands.run_session import execute
 
     return execute(args, _BEGIN_MONO_NS)

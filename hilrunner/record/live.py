@@ -11,13 +11,12 @@ import foxglove
 import numpy as np
 
 from hilrunner.base import records
-from hilrunner.base.errors import UsageError
 from hilrunner.base.units import NS_PER_S
 from hilrunner.record import schemas
 from hilrunner.record.config import RecorderConfig
+from hilrunner.record.live_port import HOST, refusal
 from hilrunner.record.mcap_log import log_message
 
-HOST = "127.0.0.1"
 CLOSE_WAIT_S = 1.0
 MISSES_A_CALL_MAX = 20  # a burst is in the log; the viewer needs to see that there is one
 
@@ -64,12 +63,7 @@ class LiveView:
                 name="hilrunner", host=HOST, port=settings.live_port, context=self._context
             )
         except Exception as error:  # the SDK has one error type for all of it
-            raise UsageError(
-                f"--live {settings.live_port}",
-                f"the live view cannot be served on {HOST}:{settings.live_port}: {error}",
-                "a free port, 1024 to 65535",
-                "choose another port or end what uses this one",
-            ) from error
+            raise refusal(settings.live_port, str(error)) from error
         self.port = self._server.port
 
     def take_ticks(self, tick: np.ndarray, command: np.ndarray, state: np.ndarray, log_real_ns: np.ndarray) -> None:

@@ -2,6 +2,7 @@
 
 import gc
 import os
+import socket
 
 import pytest
 
@@ -134,6 +135,23 @@ def test_a_duration_without_a_period_is_refused_before_anything_is_built(monkeyp
     for command in (["run", "--stimulus", "hold"], ["simulate"]):
         assert main([*command, "--duration", "0.0009"]) == exit_codes.BAD_INPUT
         assert "shorter than one period" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("listens", [True, False])
+def test_a_live_port_is_looked_at_before_anything_is_loaded(listens, monkeypatch, capsys):
+    reached = []
+    monkeypatch.setattr("hilrunner.commands.run_session.execute", lambda *_: reached.append(1) or 0)
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        if listens:
+            other.listen()
+        else:
+            other.close()
+        code = main(["run", *SCHEDULE, "--no-log", "--live", str(port)])
+    assert (code, reached) == ((exit_codes.BAD_INPUT, []) if listens else (exit_codes.PASSED, [1]))
+    text = capsys.readouterr().err
+    assert not listens or all(word in text for word in (f"--live {port}", "in use", "another port")), text
 
 
 def test_no_core_is_asked_for_by_minus_one_and_each_core_there_is_may_be_named():
