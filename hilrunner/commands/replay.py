@@ -15,6 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--html", type=Path, metavar="FILE", help="one self-contained page with the article's plots")
     parser.add_argument("--json", action="store_true", help="the result as one JSON object on stdout")
     parser.add_argument("--out", type=Path, metavar="FILE.mcap", help="the run with its reference beside it")
+    parser.add_argument("--overwrite", action="store_true", help="let --out replace a file that exists")
     parser.add_argument(
         "--only", choices=("exact", "dae"), default="both", help="bit-exact replay, or the full model (default: both)"
     )
@@ -30,13 +31,14 @@ def main(args: argparse.Namespace) -> int:
     """Replay, print, write what was asked for; exit code 0, 1 (bits differ) or 5 (out of tolerance)."""
     begin_ns = time.monotonic_ns()
     from hilrunner.base.errors import UsageError
-    from hilrunner.commands.targets import check_targets, whole, write_text
+    from hilrunner.commands.targets import check_new_log, check_targets, whole, write_text
     from hilrunner.evidence import replay as evidence
     from hilrunner.evidence.report import cost_since
 
     if not 1e-13 <= args.rtol <= 1e-3:
         raise UsageError("--rtol", f"{args.rtol:g}", "1e-13 to 1e-3")
-    check_targets([args.html, args.out], log=args.log)
+    check_targets([args.html], log=args.log)
+    check_new_log(args.out, args.overwrite, log=args.log)
     options = evidence.ReplayOptions(part=args.only, duration_s=args.duration, rtol=args.rtol)
     with _ProgressBar() as progress:
         replay = evidence.build_replay(args.log, options, progress)

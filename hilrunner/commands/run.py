@@ -35,6 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     run.add_argument("--duration", type=options.seconds, metavar="S", help="default: until SIGINT or SIGTERM")
     run.add_argument("--log", type=Path, metavar="FILE.mcap", help="default: runs/<UTC>-<profile>.mcap")
+    run.add_argument("--overwrite", action="store_true", help="let --log replace a file that exists")
     run.add_argument("--no-log", action="store_true", help="write no log")
     run.add_argument(
         "--live",

@@ -11,10 +11,11 @@ import msgspec
 
 from hilrunner.base import exit_codes, status
 from hilrunner.base import ring as ring_layout
-from hilrunner.base.errors import LogError, UsageError
+from hilrunner.base.errors import UsageError
 from hilrunner.commands.options import check_duration
 from hilrunner.commands.run_summary import summarise_run
 from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
+from hilrunner.commands.targets import claim_free_log, claim_log
 from hilrunner.setup import host
 from hilrunner.setup.profile import LoadedProfile, load_profile
 from hilrunner.setup.session import RunOptions, RunResult, Session
@@ -109,6 +110,7 @@ def _options(args: argparse.Namespace, loaded: LoadedProfile) -> RunOptions:
         raise UsageError(
             "hilrunner run", "no bus and no stimulus", remedy="name a bus (--can vcan0) or a schedule (--stimulus FILE)"
         )
+    log_path, log_is_new = (None, False) if args.no_log else _claimed_log(args, loaded)
     return RunOptions(
         engine=status.ENGINE_NAMES.index(args.engine),
         interface=interface,
@@ -116,7 +118,8 @@ def _options(args: argparse.Namespace, loaded: LoadedProfile) -> RunOptions:
         bitrate=args.bitrate or loaded.profile.can.bitrate,
         fd=args.fd or loaded.profile.can.fd,
         duration_s=args.duration,
-        log_path=None if args.no_log else _log_path(args.log, loaded),
+        log_path=log_path,
+        log_is_new=log_is_new,
         stimulus=stimulus,
         overrun=args.overrun,
         spin_us=args.spin_us,
@@ -141,14 +144,12 @@ def _bus_names(args: argparse.Namespace) -> tuple[str, str | None]:
     return str(configured.get("interface", "socketcan")), channel or configured.get("channel")
 
 
-def _log_path(asked: Path | None, loaded: LoadedProfile) -> Path:
+def _claimed_log(args: argparse.Namespace, loaded: LoadedProfile) -> tuple[Path, bool]:
+    """The log's path, and whether an empty file was made there for this run."""
+    if args.log is not None:
+        return args.log, claim_log(args.log, args.overwrite)
     stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-    path = asked or Path("runs") / f"{stamp}-{loaded.profile.name}.mcap"
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LogError(str(path.parent), f"cannot be made: {error.strerror}", remedy="choose another --log") from error
-    return path
+    return claim_free_log(Path("runs"), f"{stamp}-{loaded.profile.name}"), True
 
 
 def _stop_on_signals(session: Session) -> dict:

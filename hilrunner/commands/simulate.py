@@ -16,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--engine", choices=ENGINES, default="surrogate", help="default: %(default)s")
     parser.add_argument("--compare", choices=ENGINES, metavar="ENGINE", help="a second engine; differences are printed")
     parser.add_argument("--out", type=Path, metavar="RUN.mcap", help="write a log like that of a run")
+    parser.add_argument("--overwrite", action="store_true", help="let --out replace a file that exists")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="pressures, position and command as .png or .svg")
     parser.add_argument("--json", action="store_true", help="figures as one JSON object on stdout")
 
@@ -26,7 +27,7 @@ def main(args: argparse.Namespace) -> int:
 
     from hilrunner.base import exit_codes, status
     from hilrunner.commands import simulate_output as output
-    from hilrunner.commands.targets import check_targets, whole
+    from hilrunner.commands.targets import check_new_log, check_targets, whole
     from hilrunner.setup.profile import load_profile
     from hilrunner.setup.simulate import simulate
     from hilrunner.setup.stimulus import profile_schedule
@@ -35,7 +36,8 @@ def main(args: argparse.Namespace) -> int:
     options.check_duration(args.duration, loaded.profile.bench.period_us)
     schedule = args.schedule or profile_schedule(loaded)
     output.check_format(args.plot)
-    check_targets([args.out, args.plot])
+    check_new_log(args.out, args.overwrite)
+    check_targets([args.plot])
     first = simulate(loaded, status.ENGINE_NAMES.index(args.engine), schedule, args.duration, output.progress("first"))
     second = None
     if args.compare:

@@ -11,6 +11,7 @@
 The bus is `--hil-channel` (default vcan0) of `--hil-interface` (default socketcan), also as ini options.
 """
 
+import itertools
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,7 @@ def hil_bench(request, tmp_path):
     the test fails if it ended with another exit code than 0. The log lies in the test's tmp_path.
     """
     started = []
+    numbers = itertools.count(1)  # a bench that does not start has a log's name as well
 
     def start(profile: str | None = None, options: list[str] | None = None, dbc: str | Path | None = None):
         from hilrunner.evidence.bench_client import Bench, bench_command
@@ -46,7 +48,7 @@ def hil_bench(request, tmp_path):
         chosen = {name: _option(request.config, name) for name in ("interface", "channel", "profile")}
         name = str(profile or chosen["profile"])
         messages = Messages(dbc or dbc_path(load_profile(name)))
-        log = tmp_path / f"run{len(started) + 1}.mcap"
+        log = tmp_path / f"run{next(numbers)}.mcap"
         command = bench_command(chosen["interface"], chosen["channel"], name, list(options or []))
         bench = Bench(command, log, chosen["interface"], chosen["channel"], messages)
         bench.wait_started()  # closes it where it does not start

@@ -46,6 +46,7 @@ class RunOptions:
     fd: bool = False
     duration_s: float | None = None
     log_path: Path | None = None  # None: no log
+    log_is_new: bool = False  # log_path is an empty file that was made for this run
     stimulus: np.ndarray | None = None
     overrun: str | None = None
     spin_us: int | None = None
@@ -93,7 +94,7 @@ class Session:
         self._thread: threading.Thread | None = None
         self._failure: BaseException | None = None
         self._cancelled = False
-        self._log_is_ours = False  # nobody's file before: made, or emptied, by our recorder
+        self._log_is_ours = options.log_is_new  # nobody's file before: made for this run, or emptied by its recorder
         self._plants_path: Path | None = None  # deleted by the recorder once read, by us when it could not
         self.schedstat_fd = -1
 
@@ -126,7 +127,7 @@ class Session:
         if options.require_realtime:
             host.require_realtime(self.grants, self.host_report.findings)
         if self._block is not None:
-            self._log_is_ours = options.log_path is not None and not os.path.lexists(options.log_path)
+            self._log_is_ours |= options.log_path is not None and not os.path.lexists(options.log_path)
             self.recorder = launch.start_recorder(self._recorder_config(shape), self.ring)
         self.armed = arm(
             self.loaded,
@@ -242,8 +243,8 @@ class Session:
         if self.recorder is not None:
             self.recorder.process.kill()
             self.recorder.process.wait()
-            if self._log_is_ours and self.options.log_path.is_file():
-                self.options.log_path.unlink()
+        if self._log_is_ours and self.options.log_path.is_file():
+            self.options.log_path.unlink()
         if self._thread is not None:
             self._thread.join(timeout=5.0)
         if self.bus is not None:

@@ -31,7 +31,11 @@ BAD = {
         ["--duration", "at least 0.002 s"],
     ),
     "no such schedule": (["--stimulus", "none.csv"], exit_codes.BAD_INPUT, ["none.csv", "lift-profile"]),
-    "unwritable log": ([*SCHEDULE, "--log", "/proc/none/x.mcap"], exit_codes.BAD_INPUT, ["/proc/none", "--log"]),
+    "unwritable log": (
+        [*SCHEDULE, "--log", "/proc/none/x.mcap"],
+        exit_codes.BAD_INPUT,
+        ["/proc/none/x.mcap", "cannot be created", "--log"],
+    ),
     "log is a folder": ([*SCHEDULE, "--log", "."], exit_codes.BAD_INPUT, ["--log", "directory"]),
     "unknown backend": (["-i", "no-such", "-c", "x"], exit_codes.BAD_INPUT, ["no-such"]),
 }
@@ -161,13 +165,27 @@ def test_no_core_is_asked_for_by_minus_one_and_each_core_there_is_may_be_named()
     assert [options.core(str(core)) for core in sorted(os.sched_getaffinity(0))] == sorted(os.sched_getaffinity(0))
 
 
+def profile_without_model(folder):
+    profile = folder / "mine.toml"
+    profile.write_text('name = "mine"\n[[axis]]\nname = "luffing"\nmodel = "none.onnx"\n')
+    return profile
+
+
 def test_a_refused_start_leaves_a_file_of_somebody_else_alone(in_an_empty_folder, capsys):
-    """The log cannot be opened, so the file under its name is not the run's to delete."""
+    """A run replaces a log only when told to, and only when it starts."""
     theirs = in_an_empty_folder / "evidence.txt"
     theirs.write_text("kept")
-    change = 'model = "none.onnx"'
-    profile = in_an_empty_folder / "mine.toml"
-    profile.write_text(f'name = "mine"\n[[axis]]\nname = "luffing"\n{change}\n')
-    words = ["run", "--profile", str(profile), *SCHEDULE, "--log", str(theirs)]
+    words = ["run", "--profile", str(profile_without_model(in_an_empty_folder)), *SCHEDULE, "--log", str(theirs)]
     assert main(words) == exit_codes.BAD_INPUT
+    assert "exists already (4 bytes)" in capsys.readouterr().err and theirs.read_text() == "kept"
+    assert main([*words, "--overwrite"]) == exit_codes.BAD_INPUT
     assert "none.onnx" in capsys.readouterr().err and theirs.read_text() == "kept"
+
+
+def test_a_refused_start_takes_its_own_empty_log_with_it(in_an_empty_folder, capsys):
+    words = ["run", "--profile", str(profile_without_model(in_an_empty_folder)), *SCHEDULE]
+    for log in (["--log", "new.mcap"], []):
+        assert main([*words, *log]) == exit_codes.BAD_INPUT
+    assert main(["run", "--can", "can99", "--log", "new.mcap"]) == exit_codes.CAN_LOST
+    capsys.readouterr()
+    assert not list(in_an_empty_folder.rglob("*.mcap"))

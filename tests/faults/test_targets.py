@@ -1,11 +1,22 @@
 """Files that commands write: refused before any work, never over the log that is read, whole or absent."""
 
+import subprocess
+import sys
+
 import pytest
 
 from hilrunner.base import exit_codes
 from hilrunner.base.errors import LogError, UsageError
 from hilrunner.cli import INTERRUPTED, main
-from hilrunner.commands.targets import check_folder, check_targets, whole, write_text
+from hilrunner.commands.targets import (
+    check_folder,
+    check_new_log,
+    check_targets,
+    claim_free_log,
+    claim_log,
+    whole,
+    write_text,
+)
 
 
 def test_an_interrupted_write_leaves_what_was_there(tmp_path):
@@ -75,6 +86,75 @@ def test_simulate_refuses_targets_before_it_works(tmp_path, capsys):
         assert main(["simulate", *words]) == exit_codes.BAD_INPUT
         assert told in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("command", ["simulate", "replay"])
+def test_a_log_is_replaced_only_when_told_to(tmp_path, capsys, monkeypatch, command):
+    """Also a file that is no log: who knows what it proves."""
+    log, target = tmp_path / "run.mcap", tmp_path / "old.mcap"
+    log.write_bytes(b"\x89MCAP0\r\n")
+    target.write_text("evidence")
+    words = [command, *([str(log)] if command == "replay" else []), "--out", str(target)]
+    assert main(words) == exit_codes.BAD_INPUT
+    told = capsys.readouterr().err
+    assert all(word in told for word in (str(target), "exists already (8 bytes)", "another file", "--overwrite")), told
+    assert target.read_text() == "evidence"
+    check_new_log(target, overwrite=True, log=log)
+    with pytest.raises(UsageError, match="is the log that is read"):
+        check_new_log(log, overwrite=True, log=log)
+
+
+def test_no_page_takes_the_place_of_a_log(tmp_path, capsys):
+    log, other, page = tmp_path / "run.mcap", tmp_path / "other.mcap", tmp_path / "page.html"
+    for path in (log, other):
+        path.write_bytes(b"\x89MCAP0\r\nand more")
+    page.write_text("<html>")
+    for option in ("--html", "--junit"):
+        assert main(["report", str(log), option, str(other)]) == exit_codes.BAD_INPUT
+        assert "is a log of a run" in capsys.readouterr().err
+    check_targets([page], log=log)  # a page can be made again
+    assert other.read_bytes() == b"\x89MCAP0\r\nand more"
+
+
+def test_the_name_of_a_log_is_taken_by_one_run_only(tmp_path):
+    path = tmp_path / "new" / "run.mcap"
+    assert claim_log(path, overwrite=False) and path.read_bytes() == b""
+    with pytest.raises(UsageError, match="exists already"):
+        claim_log(path, overwrite=False)
+    assert not claim_log(path, overwrite=True)
+    assert not claim_log(tmp_path, overwrite=False), "what is no file is the recorder's to refuse"
+
+
+def test_runs_of_the_same_second_have_logs_of_their_own(tmp_path):
+    names = [claim_free_log(tmp_path / "runs", "x").name for _ in range(3)]
+    assert names == ["x.mcap", "x-2.mcap", "x-3.mcap"]
+
+
+def test_a_run_replaces_a_log_only_when_told_to(tmp_path):
+    log = tmp_path / "run.mcap"
+    words = [
+        sys.executable,
+        "-m",
+        "hilrunner",
+        "--stimulus",
+        "hold",
+        "--duration",
+        "0.2",
+        "--priority",
+        "0",
+        "--log",
+        log,
+    ]
+    first = subprocess.run(words, capture_output=True, text=True)
+    assert first.returncode != exit_codes.BAD_INPUT, first.stderr
+    evidence = log.read_bytes()
+    assert evidence[:8] == evidence[-8:] == b"\x89MCAP0\r\n"
+    second = subprocess.run(words, capture_output=True, text=True)
+    assert second.returncode == exit_codes.BAD_INPUT and log.read_bytes() == evidence
+    assert second.stderr.count("\n") == 1 and f"{log}: exists already" in second.stderr
+    third = subprocess.run([*words, "--overwrite"], capture_output=True, text=True)
+    assert third.returncode != exit_codes.BAD_INPUT, third.stderr
+    assert log.read_bytes() != evidence and log.read_bytes()[-8:] == b"\x89MCAP0\r\n"
 
 
 def test_simulate_writes_whole_files(tmp_path, capsys):
