@@ -7,6 +7,7 @@ import sys
 from hilrunner import __version__
 from hilrunner.base import exit_codes
 from hilrunner.base.errors import HilrunnerError
+from hilrunner.commands import streams
 from hilrunner.commands.options import Parser
 
 COMMANDS = {
@@ -27,7 +28,8 @@ EXIT_CODES = """exit codes:
   2 usage or bad input          3 deadline budget exceeded
   4 CAN lost                    5 cross-check out of tolerance
   6 real-time set-up refused under --require-realtime
-  130 interrupted before there was a result (a run ends with the code of its verdict)"""
+  130 interrupted before there was a result (a run ends with the code of its verdict)
+  141 the reader of the output has gone, as in `| head` (a run goes on and ends with the code of its verdict)"""
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it: 0 would claim a verdict that nobody reached
 
 
@@ -59,6 +61,18 @@ def overview() -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        try:
+            return _run_command(words)
+        finally:
+            streams.flush()
+    except OSError as error:
+        if not streams.give_up(error):
+            raise
+        return streams.PIPE_CLOSED if isinstance(error, BrokenPipeError) else exit_codes.BAD_INPUT
+
+
+def _run_command(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
         print(overview(), end="")
         return 0
@@ -81,9 +95,6 @@ def main(argv: list[str] | None = None) -> int:
     except MemoryError:
         print(f"hilrunner {command}: out of memory; remedy: a shorter run or log, or fewer points", file=sys.stderr)
         return exit_codes.BAD_INPUT
-    except BrokenPipeError:
-        sys.stderr.close()
-        return 0
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from hilrunner.base.errors import UsageError
 from hilrunner.commands.options import check_duration
 from hilrunner.commands.run_summary import summarise_run
 from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
+from hilrunner.commands.streams import spare_the_work
 from hilrunner.commands.targets import claim_free_log, claim_log
 from hilrunner.setup import host
 from hilrunner.setup.profile import LoadedProfile, load_profile
@@ -32,8 +33,9 @@ def execute(args: argparse.Namespace, begin_mono_ns: int) -> int:
     session = Session(loaded, options, begin_mono_ns)
     stopped = _stop_on_signals(session)
     session.start()
-    if not args.json:
-        print_start(session)
+    with spare_the_work():
+        if not args.json:
+            print_start(session)
     live = LiveLine(session, enabled=sys.stderr.isatty() and not args.json)
     while session.running(_LIVE_INTERVAL_S):
         live.update()
@@ -45,10 +47,11 @@ def execute(args: argparse.Namespace, begin_mono_ns: int) -> int:
     if code == exit_codes.PASSED:
         code, broken = judged(result)
     summary = summarise_run(result, code) | {"broken_limits": broken}
-    if args.json:
-        print(json.dumps(summary))
-    else:
-        print_summary(summary)
+    with spare_the_work():
+        if args.json:
+            print(json.dumps(summary))
+        else:
+            print_summary(summary)
     return code
 
 
