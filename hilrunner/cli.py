@@ -1,14 +1,17 @@
-"""`hilrunner`: names of commands and nothing else; each command's file is imported only when it is called."""
+"""`hilrunner`: names of commands and nothing else; each command's file is imported only when it is called.
 
-import argparse
-import importlib
+Little is imported above: until `main` has begun, Ctrl-C still shows Python's own traceback.
+"""
+
 import sys
 
 from hilrunner import __version__
 from hilrunner.base import exit_codes
-from hilrunner.base.errors import HilrunnerError
-from hilrunner.commands import streams
-from hilrunner.commands.options import Parser
+from hilrunner.commands.interrupt import Interrupts
+
+TYPE_CHECKING = False  # the one of `typing` costs 5 ms
+if TYPE_CHECKING:
+    import argparse
 
 COMMANDS = {
     "run": "the main job: a firmware on CAN drives the simulated actuator (default when the first word is an option)",
@@ -28,13 +31,18 @@ EXIT_CODES = """exit codes:
   2 usage or bad input          3 deadline budget exceeded
   4 CAN lost                    5 cross-check out of tolerance
   6 real-time set-up refused under --require-realtime
-  130 interrupted before there was a result (a run ends with the code of its verdict)
+  130 interrupted before there was a result (a run that has begun ends with the code of its verdict)
   141 the reader of the output has gone, as in `| head` (a run goes on and ends with the code of its verdict)"""
 INTERRUPTED = 130  # 128 + SIGINT, as shells have it: 0 would claim a verdict that nobody reached
 
 
-def build_parser(command: str) -> argparse.ArgumentParser:
+def build_parser(command: str) -> "argparse.ArgumentParser":
     """The parser of one command."""
+    import argparse
+    import importlib
+
+    from hilrunner.commands.options import Parser
+
     module = importlib.import_module(f"hilrunner.commands.{command}")
     parser = Parser(
         prog=f"hilrunner {command}",
@@ -61,6 +69,22 @@ def overview() -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run one command; returns the exit code."""
     words = list(sys.argv[1:] if argv is None else argv)
+    with Interrupts(also_ignored=_command_of(words) == "run", last=argv is None) as interrupts:
+        try:
+            return _heard(words)
+        except BaseException as error:
+            # what an interrupted import raises is not always a KeyboardInterrupt
+            if not interrupts.asked and not isinstance(error, KeyboardInterrupt):
+                raise
+    exec("")  # an interrupt inside an earlier exec of a text would let the interpreter end by a signal, not by our code
+    print("hilrunner: interrupted before there was a result; nothing is left half done", file=sys.stderr)
+    return INTERRUPTED
+
+
+def _heard(words: list[str]) -> int:
+    """The command, and the end of one whose output cannot be written."""
+    from hilrunner.commands import streams
+
     try:
         try:
             return _run_command(words)
@@ -72,14 +96,21 @@ def main(argv: list[str] | None = None) -> int:
         return streams.PIPE_CLOSED if isinstance(error, BrokenPipeError) else exit_codes.BAD_INPUT
 
 
+def _command_of(words: list[str]) -> str:
+    return "run" if not words or words[0].startswith("-") else words[0]
+
+
 def _run_command(words: list[str]) -> int:
+    from hilrunner.base.errors import HilrunnerError
+
     if not words or words[0] in ("-h", "--help", "help"):
         print(overview(), end="")
         return 0
     if words[0] in ("-V", "--version"):
         print(f"hilrunner {__version__}")
         return 0
-    command = "run" if words[0].startswith("-") else words.pop(0)
+    command = _command_of(words)
+    words = words[words[0] == command :]
     if command not in COMMANDS:
         print(f"hilrunner: no command '{command}'; commands: {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
@@ -89,9 +120,6 @@ def _run_command(words: list[str]) -> int:
     except HilrunnerError as error:
         print(f"hilrunner {command}: {error}", file=sys.stderr)
         return error.exit_code
-    except KeyboardInterrupt:
-        print(f"hilrunner {command}: interrupted; nothing is left half done", file=sys.stderr)
-        return exit_codes.PASSED if command == "run" else INTERRUPTED
     except MemoryError:
         print(f"hilrunner {command}: out of memory; remedy: a shorter run or log, or fewer points", file=sys.stderr)
         return exit_codes.BAD_INPUT

@@ -31,7 +31,15 @@ def execute(args: argparse.Namespace, begin_mono_ns: int) -> int:
     check_duration(args.duration, loaded.profile.bench.period_us)
     options = _options(args, loaded)
     session = Session(loaded, options, begin_mono_ns)
-    stopped = _stop_on_signals(session)
+    before = _stop_on_signals(session)
+    try:
+        return _watched(session, args)
+    finally:
+        _set_signals(before)
+
+
+def _watched(session: Session, args: argparse.Namespace) -> int:
+    """Start, watch, finish, tell; the exit code."""
     session.start()
     with spare_the_work():
         if not args.json:
@@ -40,7 +48,8 @@ def execute(args: argparse.Namespace, begin_mono_ns: int) -> int:
     while session.running(_LIVE_INTERVAL_S):
         live.update()
     live.close()
-    _restore_signals(stopped)
+    # the run has ended: whoever wants to end it now gets its log and verdict all the same
+    _set_signals(dict.fromkeys((signal.SIGINT, signal.SIGTERM), lambda *_: None))
     result = session.finish()
     code = exit_code(result)
     broken: list[str] = []
@@ -156,12 +165,15 @@ def _claimed_log(args: argparse.Namespace, loaded: LoadedProfile) -> tuple[Path,
 
 
 def _stop_on_signals(session: Session) -> dict:
-    """SIGINT and SIGTERM end the run after the current tick; a second one ends the process as usual."""
+    """SIGINT and SIGTERM end the run after the current tick; a second one, or one before the first tick, as they end any command."""
     before = {}
 
-    def stop(number, _frame) -> None:
-        signal.signal(number, before[number])
-        if not session.stop_early():
+    def stop(number, frame) -> None:
+        if session.stop_early():
+            signal.signal(number, before[number])
+        elif callable(before[number]):
+            before[number](number, frame)
+        else:
             raise KeyboardInterrupt
 
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -169,6 +181,6 @@ def _stop_on_signals(session: Session) -> dict:
     return before
 
 
-def _restore_signals(before: dict) -> None:
-    for number, handler in before.items():
+def _set_signals(handlers: dict) -> None:
+    for number, handler in handlers.items():
         signal.signal(number, handler)

@@ -102,10 +102,10 @@ class Session:
         """Everything before tick 0, then let the clock run; raises HilrunnerError with nothing left behind."""
         try:
             self._prepare()
-        except BaseException:
+            self._go.set()
+        except BaseException:  # an interrupt as well: it is raised only until the clock runs (stop_early)
             self._abandon()
             raise
-        self._go.set()
 
     def _prepare(self) -> None:
         options = self.options

@@ -176,5 +176,5 @@ def test_an_interrupt_is_no_verdict(monkeypatch, capsys):
     assert main(["report", "run.mcap"]) == INTERRUPTED
     assert "interrupted" in capsys.readouterr().err
     monkeypatch.setattr("hilrunner.commands.run.main", interrupted)
-    assert main(["run"]) == exit_codes.PASSED
+    assert main(["run"]) == INTERRUPTED, "no tick has run: nothing was passed"
     capsys.readouterr()

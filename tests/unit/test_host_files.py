@@ -4,6 +4,7 @@ import configparser
 import re
 from pathlib import Path
 
+from hilrunner.cli import INTERRUPTED
 from hilrunner.setup.host_rights import RealtimeOptions
 
 FOLDER = Path(__file__).resolve().parents[2] / "tools" / "systemd"
@@ -27,7 +28,7 @@ def test_the_unit_grants_what_the_loop_asks_for():
 
 def test_the_unit_ends_a_run_cleanly_and_does_not_repeat_it():
     service = _unit()["Service"]
-    assert service["KillSignal"] == "SIGINT"
+    assert service["KillSignal"] == "SIGINT" and service["SuccessExitStatus"] == str(INTERRUPTED)
     assert service["Restart"] == "no"
     assert "--require-realtime" in service["ExecStart"] and "--can %i" in service["ExecStart"]
 
