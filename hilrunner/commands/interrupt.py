@@ -23,6 +23,7 @@ class Interrupts:
         self.asked = False
         self._before: dict[int, object] = {}
         self._number = signal.SIGINT
+        self._alarm_before = None  # the handler of SIGALRM while an interrupt waits to come again
 
     def __enter__(self) -> "Interrupts":
         self._hook_before, sys.unraisablehook = sys.unraisablehook, self._dropped
@@ -38,6 +39,7 @@ class Interrupts:
     def __exit__(self, *_) -> None:
         if not self.asked:
             sys.unraisablehook = self._hook_before
+        self._end_alarm()
         for number, handler in self._before.items():
             signal.signal(number, signal.SIG_IGN if self._last else handler or signal.SIG_DFL)
 
@@ -52,11 +54,17 @@ class Interrupts:
             return
         if not isinstance(unraisable.exc_value, KeyboardInterrupt):
             return  # of an object that was interrupted while it was made or given back
-        before = signal.signal(signal.SIGALRM, lambda *_: None)
-
-        def again(_number, frame) -> None:
-            signal.signal(signal.SIGALRM, before)
-            signal.getsignal(self._number)(self._number, frame)
-
-        signal.signal(signal.SIGALRM, again)
+        if self._alarm_before is None:
+            self._alarm_before = signal.signal(signal.SIGALRM, self._again) or signal.SIG_DFL
         signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+
+    def _again(self, _number: int, frame) -> None:
+        """To whoever takes the signal by now: the run may have begun."""
+        self._end_alarm()
+        signal.getsignal(self._number)(self._number, frame)
+
+    def _end_alarm(self) -> None:
+        if self._alarm_before is not None:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+            signal.signal(signal.SIGALRM, self._alarm_before)
+            self._alarm_before = None
