@@ -11,7 +11,7 @@ from hilrunner.bench.results import Table
 from hilrunner.bench.tick import TickBench, choose_place, say
 from hilrunner.plant.step import AxisPlant
 from hilrunner.setup import host
-from hilrunner.setup.axes import make_axis_plants
+from hilrunner.setup.axes import engine_named, make_axis_plants
 from hilrunner.setup.profile import load_profile
 
 STEP_PROFILES = {"paper": "paper", "lift": "amc-lift"}
@@ -110,7 +110,7 @@ def disturb_part(arguments: argparse.Namespace) -> Iterator[Table]:
 
 
 def _engine(arguments: argparse.Namespace) -> int:
-    return status.ENGINE_NAMES.index(arguments.engine)
+    return engine_named(load_profile(arguments.profile), arguments.engine)
 
 
 PARTS = {"step": step_part, "loop": loop_part, "capacity": capacity_part, "log": log_part, "disturb": disturb_part}

@@ -36,7 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--profile", default="amc-lift", metavar="NAME|FILE", help="bench of the tick (default amc-lift)"
     )
-    parser.add_argument("--engine", choices=("surrogate", "reference", "onnx"), default="surrogate", help="of the tick")
+    parser.add_argument(
+        "--engine", choices=("surrogate", "reference", "onnx"), help="of the tick (default: the profile's)"
+    )
     parser.add_argument(
         "--cpu", type=options.core, default=-1, metavar="N", help="core to measure on (default: the best there is)"
     )

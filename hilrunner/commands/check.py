@@ -8,7 +8,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `hilrunner check`."""
     parser.add_argument("profile", metavar="NAME|FILE", help="a shipped profile or a TOML file")
     parser.add_argument(
-        "--engine", choices=("surrogate", "reference"), default="surrogate", help="default: %(default)s"
+        "--engine", choices=("surrogate", "reference", "onnx"), help="default: the profile's (bench.engine)"
     )
     parser.add_argument("--json", action="store_true", help="findings as one JSON object")
 
@@ -17,7 +17,7 @@ def main(args: argparse.Namespace) -> int:
     """Build everything a run would build, without bus and clock; exit 2 with the reason where it cannot be built."""
     from hilrunner.base import status
     from hilrunner.setup.arm import arm_offline
-    from hilrunner.setup.axes import period_ns, period_s
+    from hilrunner.setup.axes import engine_named, period_ns, period_s
     from hilrunner.setup.host import bus_load_ratio
     from hilrunner.setup.profile import load_profile
     from hilrunner.setup.stability_store import stored_stability_limit_s
@@ -26,7 +26,8 @@ def main(args: argparse.Namespace) -> int:
 
     loaded = load_profile(args.profile)
     load_stimulus(profile_schedule(loaded), loaded)
-    armed = arm_offline(loaded, status.ENGINE_NAMES.index(args.engine))
+    engine = engine_named(loaded, args.engine)
+    armed = arm_offline(loaded, engine)
     load = bus_load_ratio(profile_traffic(loaded, period_ns(loaded)), loaded.profile.can.bitrate)
     axes = []
     for axis, plant in zip(loaded.profile.axis, armed.axes.plants, strict=True):
@@ -42,6 +43,7 @@ def main(args: argparse.Namespace) -> int:
         )
     found = {
         "profile": loaded.profile.name,
+        "engine": status.ENGINE_NAMES[engine],
         "axes": axes,
         "bus_load_ratio": round(load, 4),
         "dbc": armed.dbc_path.name,
@@ -50,7 +52,7 @@ def main(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(found))
         return 0
-    print(f"{loaded.path}: profile {found['profile']} is sound")
+    print(f"{loaded.path}: profile {found['profile']} is sound, engine {found['engine']}")
     for axis in axes:
         print(
             f"  {axis['name']}: {axis['substeps']} substeps of {axis['step_us']} us; RK4 is stable up to "

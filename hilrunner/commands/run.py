@@ -31,7 +31,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     run = parser.add_argument_group("run")
     run.add_argument("--profile", default="amc-lift", metavar="NAME|FILE", help="default: %(default)s")
     run.add_argument(
-        "--engine", choices=("surrogate", "onnx", "reference"), default="surrogate", help="plant in the loop"
+        "--engine",
+        choices=("surrogate", "onnx", "reference"),
+        help="plant in the loop (default: the profile's, bench.engine)",
     )
     run.add_argument("--duration", type=options.seconds, metavar="S", help="default: until SIGINT or SIGTERM")
     run.add_argument("--log", type=Path, metavar="FILE.mcap", help="default: runs/<UTC>-<profile>.mcap")

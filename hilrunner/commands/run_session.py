@@ -18,6 +18,7 @@ from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
 from hilrunner.commands.streams import spare_the_work
 from hilrunner.commands.targets import claim_free_log, claim_log
 from hilrunner.setup import host
+from hilrunner.setup.axes import engine_named
 from hilrunner.setup.profile import LoadedProfile, load_profile
 from hilrunner.setup.session import RunOptions, RunResult, Session
 from hilrunner.setup.stimulus import load_stimulus
@@ -124,7 +125,7 @@ def _options(args: argparse.Namespace, loaded: LoadedProfile) -> RunOptions:
         )
     log_path, log_is_new = (None, False) if args.no_log else _claimed_log(args, loaded)
     return RunOptions(
-        engine=status.ENGINE_NAMES.index(args.engine),
+        engine=engine_named(loaded, args.engine),
         interface=interface,
         channel=channel,
         bitrate=args.bitrate or loaded.profile.can.bitrate,

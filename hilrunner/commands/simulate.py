@@ -13,7 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--profile", default="amc-lift", metavar="NAME|FILE", help="default: %(default)s")
     parser.add_argument("--schedule", metavar="NAME|FILE", help="valve schedule (default: the profile's)")
     parser.add_argument("--duration", type=options.seconds, metavar="S", help="default: as long as the schedule")
-    parser.add_argument("--engine", choices=ENGINES, default="surrogate", help="default: %(default)s")
+    parser.add_argument("--engine", choices=ENGINES, help="default: the profile's (bench.engine)")
     parser.add_argument("--compare", choices=ENGINES, metavar="ENGINE", help="a second engine; differences are printed")
     parser.add_argument("--out", type=Path, metavar="RUN.mcap", help="write a log like that of a run")
     parser.add_argument("--overwrite", action="store_true", help="let --out replace a file that exists")
@@ -28,6 +28,7 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.base import exit_codes, status
     from hilrunner.commands import simulate_output as output
     from hilrunner.commands.targets import check_new_log, check_targets, whole
+    from hilrunner.setup.axes import engine_named
     from hilrunner.setup.profile import load_profile
     from hilrunner.setup.simulate import simulate
     from hilrunner.setup.stimulus import profile_schedule
@@ -38,18 +39,20 @@ def main(args: argparse.Namespace) -> int:
     output.check_format(args.plot)
     check_new_log(args.out, args.overwrite)
     check_targets([args.plot])
-    first = simulate(loaded, status.ENGINE_NAMES.index(args.engine), schedule, args.duration, output.progress("first"))
+    engine = engine_named(loaded, args.engine)
+    name = status.ENGINE_NAMES[engine]
+    first = simulate(loaded, engine, schedule, args.duration, output.progress("first"))
     second = None
     if args.compare:
         second = simulate(
             loaded, status.ENGINE_NAMES.index(args.compare), schedule, args.duration, output.progress("second")
         )
-    figures = output.figures(loaded, args.engine, schedule, first, args.compare, second)
+    figures = output.figures(loaded, name, schedule, first, args.compare, second)
     if args.out:
         with whole(args.out) as part:
             output.write_log(part, loaded, first)
     if args.plot:
         with whole(args.plot) as part:
-            output.write_plot(part, loaded, first, second, args.engine, args.compare)
+            output.write_plot(part, loaded, first, second, name, args.compare)
     print(json.dumps(figures) if args.json else output.text(figures))
     return exit_codes.PASSED if figures["finite"] else exit_codes.VERDICT_FAILED

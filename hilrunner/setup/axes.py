@@ -28,6 +28,11 @@ def period_s(loaded: LoadedProfile) -> float:
     return loaded.profile.bench.period_us * 1e-6
 
 
+def engine_named(loaded: LoadedProfile, asked: str | None) -> int:
+    """status.ENGINE_* of the name a command was given, or of the profile's own."""
+    return status.ENGINE_NAMES.index(asked or loaded.profile.bench.engine)
+
+
 @dataclass(frozen=True)
 class AxisSet:
     """Everything about the axes of one bench that is built once."""
@@ -130,7 +135,11 @@ def _networks(loaded: LoadedProfile, axis: Axis, place: str, engine: int, parame
     from hilrunner.setup.model import load_model
 
     if axis.model is None:
-        raise ProfileError(f"{place}.model", "missing", remedy="name a trained model, or run with --engine reference")
+        raise ProfileError(
+            f"{place}.model",
+            "missing",
+            remedy='name a trained model, or the first-principle model by engine = "reference" under [bench] or by --engine reference',
+        )
     networks, report = load_model(
         find_file(loaded.path, axis.model, resources.models_folder()),
         circuit=axis.circuit,

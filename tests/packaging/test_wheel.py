@@ -91,5 +91,4 @@ def test_installed_commands_run(installed):
 
 @pytest.mark.parametrize("name", sorted(p.stem for p in (tree.ROOT / "profiles").glob("*.toml")))
 def test_installed_profiles_pass_the_check(installed, name):
-    has_model = "model =" in (tree.ROOT / "profiles" / f"{name}.toml").read_text()
-    _hilrunner(installed, "check", name, *([] if has_model else ["--engine", "reference"]))
+    _hilrunner(installed, "check", name)

@@ -132,6 +132,24 @@ def test_a_schedule_beside_the_profile_is_found_from_anywhere(tmp_path, monkeypa
     assert json.loads(capsys.readouterr().out)["tick_count"] == 10
 
 
+def test_a_profile_runs_on_its_own_engine_unless_the_command_names_one(tmp_path, capsys):
+    assert cli.main(["check", "paper-table1", "--json"]) == 0, "a profile that ships is sound without options"
+    assert json.loads(capsys.readouterr().out)["engine"] == "reference"
+    assert cli.main(["simulate", "--profile", "paper-table1", "--duration", "0.01", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["engine"] == "reference"
+    assert cli.main(["check", "paper-table1", "--engine", "surrogate"]) == 2
+    assert "axis[0].model" in capsys.readouterr().err
+    profile = tmp_path / "my.toml"
+    profile.write_text('name = "my"\n[[axis]]\nname = "luffing"\n')
+    assert cli.main(["check", str(profile)]) == 2, "a model that was forgotten is no choice of an engine"
+    text = capsys.readouterr().err
+    assert all(word in text for word in ("axis[0].model", "missing", "[bench]", "--engine reference")), text
+    profile.write_text('name = "my"\n[bench]\nengine = "network"\n[[axis]]\nname = "luffing"\n')
+    assert cli.main(["check", str(profile)]) == 2
+    text = capsys.readouterr().err
+    assert all(word in text for word in ("bench.engine", "network", "surrogate, reference, onnx")), text
+
+
 def test_check_warns_of_a_bus_that_cannot_carry_the_profile(tmp_path, capsys):
     profile = tmp_path / "my.toml"
     profile.write_text(f"{CHECKED}\n[can]\nbitrate = 125000\n")
