@@ -5,6 +5,7 @@ import numpy as np
 from hilrunner.base import histogram_scale, records, state_layout, status
 from hilrunner.base import ring as ring_layout
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
+from hilrunner.setup.load_span import load_warnings
 from hilrunner.setup.session import RunResult
 
 
@@ -80,6 +81,7 @@ def summarise_run(result: RunResult, exit_code: int) -> dict:
         "check_failed_tick": failed - 1 if failed else None,
         "log": str(result.log_path) if result.log_path else None,
         "recorder": result.recorder,
+        "warnings": load_warnings(result.armed.loaded, result.armed.axes.plants),
         "grants": [grant.as_dict() for grant in result.grants],
     }
 

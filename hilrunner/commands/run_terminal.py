@@ -5,6 +5,7 @@ import sys
 from hilrunner.base import histogram_scale, records, state_layout, status
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
 from hilrunner.commands.run_summary import worst_us
+from hilrunner.setup.load_span import load_warnings
 from hilrunner.setup.session import Session
 
 _WAKE = records.HISTOGRAM_NAMES.index("wake_lateness")
@@ -23,6 +24,8 @@ def print_start(session: Session) -> None:
         )
     for report in axes.model_reports:
         print("  " + report.text().replace("\n", "\n    "))
+    for warning in load_warnings(session.loaded, axes.plants):
+        print(f"  warning: {warning}")
     print(f"  bus: {session.bus.name if session.bus else 'none (stimulus)'}")
     refused = [grant for grant in session.grants if not grant.granted]
     print(f"  real time: {len(session.grants) - len(refused)} of {len(session.grants)} asked for were granted")

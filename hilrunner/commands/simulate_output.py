@@ -10,6 +10,7 @@ from hilrunner.base import status
 from hilrunner.base.errors import UsageError
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
 from hilrunner.setup.axes import period_ns
+from hilrunner.setup.load_span import load_warnings
 from hilrunner.setup.profile import LoadedProfile
 from hilrunner.setup.simulate import Simulated
 
@@ -66,6 +67,7 @@ def figures(
         "tick_count": len(first.tick),
         "duration_s": len(first.tick) * period_ns(loaded) * 1e-9,
         "finite": finite,
+        "warnings": load_warnings(loaded, first.armed.axes.plants),
         "axes": axes,
     }
 
@@ -107,6 +109,7 @@ def text(found: dict) -> str:
                 f"|dp2| {worst['p2_mpa_max']:.3e} MPa, |dx| {worst['x_mm_max']:.3e} mm, "
                 f"|dv| {worst['v_mmps_max']:.3e} mm/s"
             )
+    lines += [f"  warning: {warning}" for warning in found["warnings"]]
     if not found["finite"]:
         lines.append("  a state left the finite numbers: the run stopped there")
     return "\n".join(lines)

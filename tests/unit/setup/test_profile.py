@@ -132,6 +132,38 @@ def test_a_schedule_beside_the_profile_is_found_from_anywhere(tmp_path, monkeypa
     assert json.loads(capsys.readouterr().out)["tick_count"] == 10
 
 
+SHORT_LOAD = [
+    ("", "[1000, 1900]", "[100.0, 150.0]", ["1000 to 1900 mm", "the stroke, 0 to 2000 mm", "44.4 kN at 0 mm and 155.6 kN at 2000 mm"]),
+    ("", "[0, 1900]", "[100.0, 157.0]", ["0 to 1900 mm", "straight line to 160.0 kN at 2000 mm;", "position_range_mm"]),
+    ("position_range_mm = [500, 1950]", "[500, 1900]", "[100.0, 170.0]", ["position_range_mm, 500 to 1950 mm", "172.5 kN"]),
+    ("", "[-10, 2000]", "[100.0, 150.0]", []),
+    ("position_range_mm = [500, 1900]", "[500, 1900]", "[100.0, 150.0]", []),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("axis", "positions", "forces", "words"), SHORT_LOAD)
+def test_a_load_that_ends_before_the_stroke_is_warned_of(tmp_path, capsys, axis, positions, forces, words):
+    load = f'{axis}\n[axis.load]\nkind = "table"\nposition_mm = {positions}\ntable_force_kn = {forces}'
+    profile = tmp_path / "my.toml"
+    profile.write_text(f"{CHECKED}\n{load}\n")
+    assert cli.main(["check", str(profile), "--json"]) == 0
+    warnings = json.loads(capsys.readouterr().out)["warnings"]
+    assert len(warnings) == bool(words)
+    for word in [*words, f"{profile}: axis[0].load:", "remedy:"] if words else []:
+        assert word in warnings[0], warnings
+    assert cli.main(["simulate", "--profile", str(profile), "--duration", "0.01"]) == 0
+    assert capsys.readouterr().out.count("warning:") == len(warnings)
+
+
+def test_the_load_of_the_crane_ends_with_the_stroke_it_was_made_for(tmp_path, capsys):
+    profile = tmp_path / "my.toml"
+    profile.write_text(f"{CHECKED}\n[axis.parameters]\nstroke_mm = 2200.0\n")
+    assert cli.main(["check", str(profile)]) == 0
+    assert (
+        "warning: " in (text := capsys.readouterr().out) and "0 to 2000 mm do not span the stroke, 0 to 2200 mm" in text
+    )
+
+
 def test_a_profile_runs_on_its_own_engine_unless_the_command_names_one(tmp_path, capsys):
     assert cli.main(["check", "paper-table1", "--json"]) == 0, "a profile that ships is sound without options"
     assert json.loads(capsys.readouterr().out)["engine"] == "reference"
