@@ -6,6 +6,7 @@ from hilrunner.base import histogram_scale, records, state_layout, status
 from hilrunner.base import ring as ring_layout
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
 from hilrunner.setup.load_span import load_warnings
+from hilrunner.setup.model_onnxruntime import engine_errors
 from hilrunner.setup.session import RunResult
 
 
@@ -81,9 +82,18 @@ def summarise_run(result: RunResult, exit_code: int) -> dict:
         "check_failed_tick": failed - 1 if failed else None,
         "log": str(result.log_path) if result.log_path else None,
         "recorder": result.recorder,
+        "engine_errors": _engine_errors(result),
         "warnings": load_warnings(result.armed.loaded, result.armed.axes.plants),
         "grants": [grant.as_dict() for grant in result.grants],
     }
+
+
+def _engine_errors(result: RunResult) -> list[str]:
+    """onnxruntime's words, where it is the reason that the run stopped."""
+    if result.exit_reason != status.EXIT_NOT_FINITE:
+        return []
+    axes = result.armed.axes
+    return engine_errors([axis.name for axis in result.armed.loaded.profile.axis], axes.plants)
 
 
 def worst_us(latency: dict, name: str, statistic: str) -> str:

@@ -106,6 +106,8 @@ def print_summary(summary: dict) -> None:
     if summary["flags"]:
         print(f"  seen: {', '.join(summary['flags'])}")
     _print_recorder(summary)
+    for text in summary["engine_errors"]:
+        print(f"  {text}")
     for text in summary.get("broken_limits", ()):
         print(f"  limit broken: {text}")
     print(f"  exit code {summary['exit_code']}")

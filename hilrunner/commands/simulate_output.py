@@ -11,6 +11,7 @@ from hilrunner.base.errors import UsageError
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
 from hilrunner.setup.axes import period_ns
 from hilrunner.setup.load_span import load_warnings
+from hilrunner.setup.model_onnxruntime import engine_errors
 from hilrunner.setup.profile import LoadedProfile
 from hilrunner.setup.simulate import Simulated
 
@@ -67,9 +68,15 @@ def figures(
         "tick_count": len(first.tick),
         "duration_s": len(first.tick) * period_ns(loaded) * 1e-9,
         "finite": finite,
+        "engine_errors": [] if finite else _engine_errors(loaded, first, second),
         "warnings": load_warnings(loaded, first.armed.axes.plants),
         "axes": axes,
     }
+
+
+def _engine_errors(loaded: LoadedProfile, *runs: Simulated | None) -> list[str]:
+    names = [axis.name for axis in loaded.profile.axis]
+    return [words for run in runs if run is not None for words in engine_errors(names, run.armed.axes.plants)]
 
 
 def _flags(state: np.ndarray) -> list[str]:
@@ -112,6 +119,7 @@ def text(found: dict) -> str:
     lines += [f"  warning: {warning}" for warning in found["warnings"]]
     if not found["finite"]:
         lines.append("  a state left the finite numbers: the run stopped there")
+    lines += [f"  {error}" for error in found["engine_errors"]]
     return "\n".join(lines)
 
 

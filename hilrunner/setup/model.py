@@ -18,6 +18,7 @@ from hilrunner.plant.head import KERNEL_NAMES
 from hilrunner.plant.network import RECIPE_NAMES, ROLES, Mlp, SurrogateNetworks, assemble_bank, forward_many
 from hilrunner.setup import model_text
 from hilrunner.setup.model_graph import Chain, Graph
+from hilrunner.setup.model_onnxruntime import bind, reasons
 
 FILE_SIZE_MAX_BYTES = 64 * 1024 * 1024  # the largest network a period could evaluate is far smaller
 OPSET_MAX = 26  # of onnxruntime 1.31
@@ -89,10 +90,8 @@ def load_model(
     networks, lines = _networks(place, model, text, in_loop)
     keep_alive = None
     if in_loop:
-        from hilrunner.setup.model_onnxruntime import bind
-
         networks, keep_alive = bind(place, data, networks, text)
-    worst, how = _compare(place, data, networks, text, vouched and bool(text.golden) and not in_loop)
+    worst, how = _compare(place, data, networks, text, vouched and bool(text.golden) and not in_loop, keep_alive)
     lines.append(f"  compiled against {how}: largest difference {worst:.1e} of the outputs' range")
     surrogate = SurrogateNetworks(
         recipe=RECIPE_NAMES.index(text.recipe),
@@ -330,7 +329,9 @@ def _check_finite(place: str, role: str, mlp: Mlp) -> None:
             )
 
 
-def _compare(place: str, data: bytes, networks: dict[str, Mlp], text, golden: bool) -> tuple[float, str]:
+def _compare(
+    place: str, data: bytes, networks: dict[str, Mlp], text, golden: bool, bound: list | None
+) -> tuple[float, str]:
     """Largest difference between what the axis will evaluate and onnxruntime, over the outputs' range; how it was found."""
     bank = assemble_bank([SurrogateNetworks(1, networks, text.circuit)])
     session = None if golden else _session(place, data)
@@ -342,10 +343,16 @@ def _compare(place: str, data: bytes, networks: dict[str, Mlp], text, golden: bo
             expected = np.array(text.golden[network.role]["outputs"])
             tolerance = DOUBLE_TOLERANCE_RATIO
         else:
-            inputs, expected, tolerance = _ask(session, network, text)
+            inputs, expected, tolerance = _ask(place, session, network, text)
         outputs = np.zeros((len(inputs), mlp.output_count))
         start = bank.axis_start[0, ROLES[network.role]]
         failures = forward_many(bank.words, start, inputs, outputs)
+        if failures and bound is not None:
+            raise ModelError(
+                place,
+                f"{failures} of {len(inputs)} evaluations failed: {'; '.join(reasons(bound)) or 'no reason is told'}",
+                remedy="a model that answers one point at a time, or --engine surrogate",
+            )
         span = np.maximum(np.ptp(expected, axis=0), 1e-300)
         difference = float(np.max(np.abs(outputs - expected) / span))
         if failures or not difference <= tolerance:
@@ -378,7 +385,7 @@ def _session(place: str, data: bytes):
         ) from error
 
 
-def _ask(session, network: model_text.NetworkText, text) -> tuple[np.ndarray, np.ndarray, float]:
+def _ask(place: str, session, network: model_text.NetworkText, text) -> tuple[np.ndarray, np.ndarray, float]:
     """Random points of the training range in the reduced model's order and SI, and onnxruntime's answers to them."""
     inputs, outputs = _order(network, text)
     low = np.array([quantity["low"] for quantity in network.inputs])
@@ -394,7 +401,11 @@ def _ask(session, network: model_text.NetworkText, text) -> tuple[np.ndarray, np
     output = network.output or session.get_outputs()[0].name
     if single:
         raw = raw.astype(np.float32).astype(np.float64)
-    (answer,) = session.run([output], feeds)
+    try:
+        (answer,) = session.run([output], feeds)
+    except Exception as error:  # as in `_session`
+        problem = f"onnxruntime cannot run it: {str(error).strip().splitlines()[0]}"
+        raise ModelError(f"{place}: network '{network.role}'", problem, remedy="export it again") from error
     answer = np.asarray(answer, float).reshape(COMPARED_POINTS, -1)
     in_si = raw * _factors(network.inputs)
     out_si = answer * _factors(network.outputs)

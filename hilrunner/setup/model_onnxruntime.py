@@ -3,10 +3,13 @@
 The shared library of the Python package exports onnxruntime's C API (`OrtGetApiBase`), a table of functions whose order
 never changes; `RunWithBinding(session, run_options, binding)` is all the period needs. Where the library cannot be found
 a Python callback with the same signature stands in: it works, takes the interpreter's lock, and says so.
+
+The period only learns that a call failed (its outputs become NaN, and the run stops); `reasons` has onnxruntime's words.
 """
 
 import ctypes
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +26,7 @@ from hilrunner.plant.foreign_call import (
     FOREIGN_SIZE,
 )
 from hilrunner.plant.network import Mlp
+from hilrunner.plant.step import AxisPlant
 
 _API_VERSION = 5  # the first with IoBinding
 # places in OrtApi (onnxruntime_c_api.h: members are only ever appended)
@@ -79,6 +83,30 @@ class _Library:
         return handle
 
 
+@dataclass
+class Bound:
+    """One network's session: what the addresses point to, and why its calls failed."""
+
+    role: str
+    why: Callable[[], str]  # onnxruntime's words, empty where nothing failed
+    kept: object  # lives as long as the addresses are used
+
+
+def reasons(bound: list[Bound] | None) -> list[str]:
+    """Why calls of these networks failed, one sentence a network that did; None: no network runs by onnxruntime."""
+    told = [(one.role, one.why()) for one in bound or []]
+    return [f"network '{role}': onnxruntime: {words}" for role, words in told if words]
+
+
+def engine_errors(names: list[str], plants: list[AxisPlant]) -> list[str]:
+    """Why the networks of a bench failed, told after a run; empty for other engines."""
+    found = []
+    for name, plant in zip(names, plants, strict=True):
+        bound = None if plant.networks is None else plant.networks.keep_alive
+        found += [f"axis {name}: {words}" for words in reasons(bound)]
+    return found
+
+
 def library_path() -> Path | None:
     """The onnxruntime library of the installed package that exports the C API."""
     import onnxruntime
@@ -90,7 +118,7 @@ def library_path() -> Path | None:
     return found[0] if found else None
 
 
-def bind(place: str, data: bytes, networks: dict[str, Mlp], text) -> tuple[dict[str, Mlp], list]:
+def bind(place: str, data: bytes, networks: dict[str, Mlp], text) -> tuple[dict[str, Mlp], list[Bound]]:
     """The same networks, each with the addresses of its own bound session.
 
     Args:
@@ -99,12 +127,12 @@ def bind(place: str, data: bytes, networks: dict[str, Mlp], text) -> tuple[dict[
         text: model_text.ModelText.
 
     Returns:
-        (networks with `foreign` set, objects that own what the addresses point to).
+        (networks with `foreign` set, what their addresses point to).
 
     Raises:
         ModelError: onnxruntime refuses the model or one of its types.
     """
-    owners: list = []
+    bindings: list[Bound] = []
     bound = {}
     path = library_path()
     for network in text.networks:
@@ -114,13 +142,14 @@ def bind(place: str, data: bytes, networks: dict[str, Mlp], text) -> tuple[dict[
         buffers = np.zeros(mlp.input_count, kind), np.zeros(mlp.output_count, kind)
         names = (input_name, output_name)
         try:
-            addresses, owner = _bind_c(path, part, names, buffers) if path else _bind_python(part, names, buffers)
+            make = _bind_python if path is None else _bind_c
+            addresses, why, kept = make(path, part, names, buffers)
         except OSError as error:
             raise ModelError(place, f"onnxruntime refuses network '{network.role}': {error}") from error
         addresses[FOREIGN_SINGLE] = single
-        owners.append((owner, buffers))
+        bindings.append(Bound(network.role, why, (kept, buffers)))
         bound[network.role] = replace(mlp, foreign=addresses)
-    return bound, owners
+    return bound, bindings
 
 
 def _part(place: str, data: bytes, network) -> tuple[bytes, str, str, bool]:
@@ -167,7 +196,7 @@ def _environment(path: Path) -> tuple[_Library, ctypes.c_void_p]:
     return _shared[str(path)]
 
 
-def _bind_c(path: Path, part: bytes, names: tuple[str, str], buffers: tuple) -> tuple[np.ndarray, object]:
+def _bind_c(path: Path, part: bytes, names: tuple[str, str], buffers: tuple) -> tuple[np.ndarray, Callable, object]:
     library, env = _environment(path)
     options = library.make(_CREATE_SESSION_OPTIONS)
     library.call(_SET_INTRA_OP_THREADS, options, ctypes.c_int(1))
@@ -194,32 +223,54 @@ def _bind_c(path: Path, part: bytes, names: tuple[str, str], buffers: tuple) -> 
     addresses[FOREIGN_BINDING] = binding.value
     addresses[FOREIGN_INPUT] = buffers[0].ctypes.data
     addresses[FOREIGN_OUTPUT] = buffers[1].ctypes.data
-    return addresses, data
+
+    def why() -> str:
+        """The status of a call is gone with the period it failed in: call again with what lies in the buffers."""
+        try:
+            library.call(_RUN_WITH_BINDING, session, run_options, binding)
+        except OSError as error:
+            return _first_line(error)
+        return ""
+
+    return addresses, why, data
 
 
-def _bind_python(part: bytes, names: tuple[str, str], buffers: tuple) -> tuple[np.ndarray, object]:
+def _bind_python(
+    _path: None, part: bytes, names: tuple[str, str], buffers: tuple
+) -> tuple[np.ndarray, Callable, object]:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     try:
         session = onnxruntime.InferenceSession(part, options, providers=["CPUExecutionProvider"])
+        binding = session.io_binding()
+        for bind_one, name, buffer in zip((binding.bind_input, binding.bind_output), names, buffers, strict=True):
+            bind_one(name, "cpu", 0, buffer.dtype.type, (1, buffer.size), buffer.ctypes.data)
     except Exception as error:  # onnxruntime's error classes have no common base but Exception
-        raise OSError(str(error)) from error
-    binding = session.io_binding()
-    for bind_one, name, buffer in zip((binding.bind_input, binding.bind_output), names, buffers, strict=True):
-        bind_one(name, "cpu", 0, buffer.dtype.type, (1, buffer.size), buffer.ctypes.data)
+        raise OSError(_first_line(error)) from error
+    failed: list[str] = []
 
     def run(session_handle, options_handle, binding_handle):
         try:
             session.run_with_iobinding(binding)
-        except Exception:  # nothing may escape into compiled code: a status says it
+        except Exception as error:  # nothing may escape into compiled code: a status says it
+            if not failed:
+                failed.append(_first_line(error))
             return 1
         return 0
+
+    def why() -> str:
+        """The first failure."""
+        return failed[0] if failed else ""
 
     callback = _RUN_KIND(run)
     addresses = np.zeros(FOREIGN_SIZE, np.int64)
     addresses[FOREIGN_FUNCTION] = ctypes.cast(callback, ctypes.c_void_p).value
     addresses[FOREIGN_INPUT] = buffers[0].ctypes.data
     addresses[FOREIGN_OUTPUT] = buffers[1].ctypes.data
-    return addresses, (session, binding, callback)
+    return addresses, why, (session, binding, callback)
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0]

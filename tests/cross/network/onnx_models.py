@@ -96,6 +96,20 @@ def matlab_style(path):
     save(path, nodes, constants, kind=TensorProto.DOUBLE, opset=17)
 
 
+def many_points_only(path):
+    """Answers points in pairs: a table of them works, one point at a time (as in the period) does not."""
+    constants = {"K": np.ones((3, 2))}
+    nodes = [
+        helper.make_node("Reshape", ["x", "pairs"], ["p"], name="in_pairs"),
+        helper.make_node("Reshape", ["p", "rows"], ["r"]),
+        helper.make_node("MatMul", ["r", "K"], ["y"]),
+    ]
+    model = save(path, nodes, constants)
+    for name, shape in (("pairs", [2, -1]), ("rows", [-1, 3])):
+        model.graph.initializer.append(numpy_helper.from_array(np.array(shape, np.int64), name))
+    onnx.save(model, path)
+
+
 def lstm(path):
     """A recurrent network: cannot be ported, can be run."""
     random = np.random.default_rng(0)

@@ -11,6 +11,7 @@ import onnxruntime
 import pytest
 
 from hilrunner.base import status
+from hilrunner.base.errors import ModelError
 from hilrunner.plant import load, step
 from hilrunner.plant.network import ROLES, assemble_bank, forward_many
 from hilrunner.plant.parameters import make_parameters
@@ -143,7 +144,48 @@ def run_paper(engine, surrogate, ticks=20):
     return states, flags
 
 
-@pytest.mark.parametrize("library", ["C API", "Python callback"])
+LIBRARIES = pytest.mark.parametrize("library", ["C API", "Python callback"])
+
+
+@LIBRARIES
+def test_a_call_that_fails_is_told_in_onnxruntimes_words(library, monkeypatch, tmp_path):
+    from hilrunner.setup import model_onnxruntime
+
+    if library == "Python callback":
+        monkeypatch.setattr(model_onnxruntime, "library_path", lambda: None)
+    path = tmp_path / "pairs.onnx"
+    onnx_models.many_points_only(path)
+    with pytest.raises(ModelError) as refused:
+        load_model(path, "paper", in_loop=True)
+    text = str(refused.value)
+    for word in (str(path), "256 of 256 evaluations failed", "network 'flow'", "in_pairs", "cannot be reshaped"):
+        assert word in text, text
+    assert len(text.splitlines()) == 1
+
+
+def test_a_call_that_fails_in_a_run_is_told_at_its_end(monkeypatch, capsys):
+    """The model was fine when it was loaded; what the callback says must outlive the period."""
+    from hilrunner import cli
+    from hilrunner.setup import model_onnxruntime
+
+    monkeypatch.setattr(model_onnxruntime, "library_path", lambda: None)
+    honest, calls = onnxruntime.InferenceSession.run_with_iobinding, []
+
+    def tiring(session, binding):
+        calls.append(1)
+        if len(calls) > 600:  # 512 of them compare the two networks with onnxruntime
+            raise RuntimeError("the arena is full\nand more that nobody reads")
+        return honest(session, binding)
+
+    monkeypatch.setattr(onnxruntime.InferenceSession, "run_with_iobinding", tiring)
+    words = ["simulate", "--schedule", "steps", "--duration", "1.5", "--engine", "onnx"]
+    assert cli.main(words) == 1
+    out = capsys.readouterr().out
+    assert "left the finite numbers" in out
+    assert "onnxruntime: the arena is full\n" in out and "axis luffing: network '" in out and "nobody" not in out
+
+
+@LIBRARIES
 def test_engine_onnx_gives_the_compiled_kernels_trajectory(library, monkeypatch):
     from hilrunner.setup import model_onnxruntime
 
