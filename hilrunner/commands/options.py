@@ -68,20 +68,6 @@ def core(text: str) -> int:
     return value
 
 
-def check_duration(duration_s: float | None, period_us: int) -> None:
-    """Refuse a --duration in which no period fits; UsageError."""
-    if duration_s is None or duration_s >= period_us * 1e-6:
-        return
-    from hilrunner.base.errors import UsageError
-
-    raise UsageError(
-        "--duration",
-        f"{duration_s:g} s is shorter than one period",
-        f"at least {period_us * 1e-6:g} s (the period is {period_us} us)",
-        "raise it, or leave it out",
-    )
-
-
 def _read(kind: type, text: str, name: str):
     try:
         return kind(text)

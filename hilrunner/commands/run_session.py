@@ -12,13 +12,12 @@ import msgspec
 from hilrunner.base import exit_codes, status
 from hilrunner.base import ring as ring_layout
 from hilrunner.base.errors import UsageError
-from hilrunner.commands.options import check_duration
 from hilrunner.commands.run_summary import summarise_run
 from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
 from hilrunner.commands.streams import spare_the_work
 from hilrunner.commands.targets import claim_free_log, claim_log
 from hilrunner.setup import host
-from hilrunner.setup.axes import engine_named
+from hilrunner.setup.axes import check_duration, engine_named
 from hilrunner.setup.profile import LoadedProfile, load_profile
 from hilrunner.setup.session import RunOptions, RunResult, Session
 from hilrunner.setup.stimulus import load_stimulus
@@ -29,7 +28,7 @@ _LIVE_INTERVAL_S = 0.25
 def execute(args: argparse.Namespace, begin_mono_ns: int) -> int:
     """One run; returns the exit code."""
     loaded = _with_period(load_profile(args.profile), args.period_us)
-    check_duration(args.duration, loaded.profile.bench.period_us)
+    check_duration(args.duration, loaded)
     options = _options(args, loaded)
     session = Session(loaded, options, begin_mono_ns)
     before = _stop_on_signals(session)

@@ -28,13 +28,13 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.base import exit_codes, status
     from hilrunner.commands import simulate_output as output
     from hilrunner.commands.targets import check_new_log, check_targets, whole
-    from hilrunner.setup.axes import engine_named
+    from hilrunner.setup.axes import check_duration, engine_named
     from hilrunner.setup.profile import load_profile
     from hilrunner.setup.simulate import simulate
     from hilrunner.setup.stimulus import profile_schedule
 
     loaded = load_profile(args.profile)
-    options.check_duration(args.duration, loaded.profile.bench.period_us)
+    check_duration(args.duration, loaded)
     schedule = args.schedule or profile_schedule(loaded)
     output.check_format(args.plot)
     check_new_log(args.out, args.overwrite)

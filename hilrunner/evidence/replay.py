@@ -15,7 +15,7 @@ from hilrunner.evidence.rebuild import engine_of, stimulus_of, unpacked_profile
 from hilrunner.evidence.replay_dae import IDA_RTOL, AxisDae, replay_dae
 from hilrunner.evidence.replay_exact import ExactReplay, replay_exact
 from hilrunner.evidence.report import finite
-from hilrunner.setup.axes import build_axes, period_s, reference_plants
+from hilrunner.setup.axes import build_axes, check_duration, period_s, reference_plants
 from hilrunner.setup.profile import CrossCheck, LoadedProfile
 
 EXACT, DAE, BOTH = "exact", "dae", "both"
@@ -60,7 +60,7 @@ def build_replay(path: str | Path, options: ReplayOptions, progress: Progress = 
     """Read a run and replay it.
 
     Raises LogError when the log cannot be read or lacks what a replay needs; ProfileError, ModelError, DbcError when this
-    version refuses what the log carries; StateError when the full model has no consistent start.
+    version refuses what the log carries; UsageError for a duration without a period; StateError when the full model has no consistent start.
     """
     run = read_run(path)
     if not len(run.tick) or not run.axis_names:
@@ -70,6 +70,7 @@ def build_replay(path: str | Path, options: ReplayOptions, progress: Progress = 
     facts = read_facts(run)
     with unpacked_profile(run) as loaded:
         _check_axes(run, loaded)
+        check_duration(options.duration_s, loaded)
         facts = replace(facts, period_ns=loaded.profile.bench.period_us * 1000)
         engine = engine_of(run, options.engine)
         exact, axes = None, []

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hilrunner.base import status
-from hilrunner.base.errors import ProfileError, StateError
+from hilrunner.base.errors import ProfileError, StateError, UsageError
 from hilrunner.base.units import M_PER_MM, N_PER_KN, NS_PER_US
 from hilrunner.plant import load as plant_load
 from hilrunner.plant import wave as plant_wave
@@ -26,6 +26,18 @@ TRUTH_STEP_S = 50e-6
 def period_s(loaded: LoadedProfile) -> float:
     """Loop period, s."""
     return loaded.profile.bench.period_us * 1e-6
+
+
+def check_duration(duration_s: float | None, loaded: LoadedProfile) -> None:
+    """Refuse a --duration in which no period fits; UsageError."""
+    if duration_s is None or duration_s >= period_s(loaded):
+        return
+    raise UsageError(
+        "--duration",
+        f"{duration_s:g} s is shorter than one period",
+        f"at least {period_s(loaded):g} s (the period is {loaded.profile.bench.period_us} us)",
+        "raise it, or leave it out",
+    )
 
 
 def engine_named(loaded: LoadedProfile, asked: str | None) -> int:

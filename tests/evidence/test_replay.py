@@ -277,3 +277,6 @@ def test_what_cannot_be_replayed_is_refused_in_words(recorded, tmp_path, capsys)
         exact(without)
     assert cli.main(["replay", str(path), "--out", str(path)]) == 2
     assert cli.main(["replay", str(path), "--rtol", "2"]) == 2
+    capsys.readouterr()
+    assert cli.main(["replay", str(path), "--duration", "1e-9"]) == 2, "nothing would be compared, and nothing may pass"
+    assert "--duration: 1e-09 s is shorter than one period" in capsys.readouterr().err
