@@ -7,7 +7,7 @@ import sys
 
 from hilrunner import __version__
 from hilrunner.base import exit_codes
-from hilrunner.commands.interrupt import Interrupts
+from hilrunner.commands.interrupt import INTERRUPTED, Interrupts
 
 TYPE_CHECKING = False  # the one of `typing` costs 5 ms
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ EXIT_CODES = """exit codes:
   6 real-time set-up refused under --require-realtime
   130 interrupted before there was a result (a run that has begun ends with the code of its verdict)
   141 the reader of the output has gone, as in `| head` (a run goes on and ends with the code of its verdict)"""
-INTERRUPTED = 130  # 128 + SIGINT, as shells have it: 0 would claim a verdict that nobody reached
 
 
 def build_parser(command: str) -> "argparse.ArgumentParser":

@@ -3,6 +3,7 @@
 import signal
 import sys
 
+INTERRUPTED = 130  # 128 + SIGINT, as shells have it: 0 would claim a verdict that nobody reached
 _AGAIN_S = 0.05
 
 

@@ -4,6 +4,7 @@ import argparse
 import json
 import signal
 import sys
+import time
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import msgspec
 from hilrunner.base import exit_codes, status
 from hilrunner.base import ring as ring_layout
 from hilrunner.base.errors import UsageError
+from hilrunner.commands.interrupt import INTERRUPTED
 from hilrunner.commands.run_summary import summarise_run
 from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
 from hilrunner.commands.streams import spare_the_work
@@ -23,6 +25,7 @@ from hilrunner.setup.session import RunOptions, RunResult, Session
 from hilrunner.setup.stimulus import load_stimulus
 
 _LIVE_INTERVAL_S = 0.25
+_INSIST_S = 3.0  # the longest period is one second
 
 
 def execute(args: argparse.Namespace, begin_mono_ns: int) -> int:
@@ -72,6 +75,8 @@ def exit_code(result: RunResult) -> int:
         return exit_codes.DEADLINE_BUDGET_EXCEEDED
     if ring_layout.word(result.ring, ring_layout.WORD_CHECK_FAILED_TICK) != 0:
         return exit_codes.CROSS_CHECK_FAILED
+    if result.exit_reason == status.EXIT_SIGNAL and result.armed.bench.progress[0]["tick_count"] == 0:
+        return INTERRUPTED
     if result.exit_reason == status.EXIT_NOT_FINITE or result.recorder.get("error"):
         return exit_codes.VERDICT_FAILED
     return exit_codes.PASSED
@@ -165,13 +170,19 @@ def _claimed_log(args: argparse.Namespace, loaded: LoadedProfile) -> tuple[Path,
 
 
 def _stop_on_signals(session: Session) -> dict:
-    """SIGINT and SIGTERM end the run after the current tick; a second one, or one before the first tick, as they end any command."""
-    before = {}
+    """SIGINT and SIGTERM end the run after the current tick; before the first tick they end it as they end any command.
+
+    So does one that comes when the first should have worked long ago. Sooner it is the same wish told twice: by an impatient
+    hand, or by a parent that passes on what the terminal has told everybody.
+    """
+    before, asked_s = {}, []
 
     def stop(number, frame) -> None:
         if session.stop_early():
-            signal.signal(number, before[number])
-        elif callable(before[number]):
+            asked_s.append(time.monotonic())
+            if asked_s[-1] - asked_s[0] <= _INSIST_S:
+                return
+        if callable(before[number]):
             before[number](number, frame)
         else:
             raise KeyboardInterrupt

@@ -4,13 +4,18 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from hilrunner import cli
-from hilrunner.base import exit_codes
+from hilrunner.base import exit_codes, status
 from hilrunner.cli import INTERRUPTED
+from hilrunner.commands.run_session import exit_code
 from hilrunner.evidence.reader import read_run
+from hilrunner.setup.arm import local_ring, ring_shape
+from hilrunner.setup.profile import load_profile
 
 NUMBERS = [signal.SIGINT, signal.SIGTERM]
 TOLD = "hilrunner: interrupted before there was a result; nothing is left half done\n"
@@ -103,6 +108,50 @@ Session.finish = finish
     assert f"exit code {done.returncode}" in done.stdout
     run = read_run(tmp_path / "run.mcap")
     assert run.metadata["run"]["exit_reason"] == "duration reached" and not run.damage
+
+
+TWICE = """
+import time
+import hilrunner.commands.run_session as command
+honest, told = command.Session.running, []
+
+def running(session, timeout_s):
+    if not told:
+        time.sleep(0.5)
+        told.append(now())
+        now()
+    return honest(session, timeout_s)
+
+command.Session.running = running
+"""
+
+
+@pytest.mark.parametrize("number", NUMBERS)
+def test_a_wish_told_twice_is_one_wish(number, tmp_path):
+    """Ctrl-C reaches the run from the terminal and once more from a parent that passes it on."""
+    done = signalled(
+        TWICE,
+        ["run", "--stimulus", "hold", "--priority", "0", "--log", "run.mcap"],
+        tmp_path,
+        number,
+    )
+    assert done.returncode in (exit_codes.PASSED, exit_codes.VERDICT_FAILED) and not done.stderr, done
+    assert read_run(tmp_path / "run.mcap").metadata["run"]["exit_reason"] == "stopped by signal"
+
+
+@pytest.mark.parametrize(("ticks", "code"), [(0, INTERRUPTED), (1, exit_codes.PASSED)])
+def test_a_run_without_a_tick_has_passed_nothing(ticks, code):
+    """All was ready, and the signal came before the loop looked at the clock."""
+    ring = local_ring(ring_shape(load_profile("amc-lift"), seconds=0.01))
+    bench = SimpleNamespace(progress=np.array([(ticks,)], [("tick_count", "i8")]))
+    ended = SimpleNamespace(exit_reason=status.EXIT_SIGNAL, armed=SimpleNamespace(bench=bench), ring=ring, recorder={})
+    assert exit_code(ended) == code
+
+
+def test_who_insists_ends_a_run_that_does_not_stop(tmp_path):
+    words = ["run", "--stimulus", "hold", "--priority", "0", "--no-log"]
+    done = signalled(TWICE + "command._INSIST_S = -1.0", words, tmp_path)
+    assert (done.returncode, done.stderr) == (INTERRUPTED, TOLD)
 
 
 def of_profiles(body: str) -> str:
