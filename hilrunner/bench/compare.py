@@ -14,17 +14,18 @@ from hilrunner.bench.tick import Slice, TickBench
 from hilrunner.bench.turns import median_ratio, take_turns
 
 SPIN_NS_MIN, SPIN_NS_MAX = 20_000, 300_000
+TICK, PLAIN, SPIN = "tick", "tick, no rehearsal", "tick, spin tail"
 PHASES = ("receive", "decode", "step", "encode", "record", "execution")
 
 
 def choose_spin_ns(first: Slice) -> int:
-    """A spin tail that covers 99 % of the wake-ups of a slice without one, to the next 10 us, within bounds."""
-    p99_ns = percentiles(*first.of("wake_lateness"))["p99"]
-    return int(np.clip(-(-p99_ns // 10_000) * 10_000, SPIN_NS_MIN, SPIN_NS_MAX))
+    """A spin tail that covers 99 % of the wake-ups of a slice without one and a rehearsal, to the next 10 us, within bounds."""
+    needed_ns = percentiles(*first.of("wake_lateness"))["p99"] + 2 * percentiles(*first.of("execution"))["p50"]
+    return int(np.clip(-(-needed_ns // 10_000) * 10_000, SPIN_NS_MIN, SPIN_NS_MAX))
 
 
 def compare(bench: TickBench, rounds: int, slice_s: float, spin_ns: int = 0) -> tuple[Table, Table]:
-    """Tick without and with spin tail, and cyclictest, in turns; tables of lateness and of execution by phase.
+    """Tick as it is, without rehearsal and with spin tail, and cyclictest, in turns; tables of lateness and execution.
 
     Args:
         bench: armed, with period and core. spin_ns: the spin tail; 0 chooses it from the first slice.
@@ -33,8 +34,9 @@ def compare(bench: TickBench, rounds: int, slice_s: float, spin_ns: int = 0) -> 
     first = bench.run(slice_s)  # warm, and thrown away
     spin_ns = spin_ns or choose_spin_ns(first)
     slices = {
-        "tick": lambda: bench.run(slice_s),
-        "tick, spin tail": lambda: bench.run(slice_s, spin_ns=spin_ns),
+        TICK: lambda: bench.run(slice_s),
+        PLAIN: lambda: bench.run(slice_s, rehearse=False),
+        SPIN: lambda: bench.run(slice_s, spin_ns=spin_ns),
     }
     notes = []
     if cyclictest.program() is None:
@@ -57,7 +59,7 @@ def compare(bench: TickBench, rounds: int, slice_s: float, spin_ns: int = 0) -> 
         f"Wake-up lateness at {period_ns / NS_PER_US:g} us on core {place.cpu}, SCHED_FIFO {place.priority}, "
         f"{rounds} rounds of {slice_s:g} s in turns; spin tail {spin_ns / NS_PER_US:g} us"
     )
-    return _lateness_table(title, rows, notes, spin_ns), _execution_table(results["tick"], bench)
+    return _lateness_table(title, rows, notes, spin_ns), _execution_table(results, bench)
 
 
 def _lateness_table(title: str, rows: dict[str, list], notes: list[str], spin_ns: int) -> Table:
@@ -67,7 +69,7 @@ def _lateness_table(title: str, rows: dict[str, list], notes: list[str], spin_ns
         key = name.replace(", ", "_").replace(" ", "_")
         values[f"{key}_ns"] = [percentiles(*one) for one in taken]
     if "cyclictest" in rows:
-        for name in ("tick", "tick, spin tail"):
+        for name in (TICK, PLAIN, SPIN):
             ratios = [_ratio(rows[name], rows["cyclictest"], quantile) for quantile in SHOWN]
             shown.append((f"{name} / cyclictest, median of rounds", *ratios))
             key = name.replace(", ", "_").replace(" ", "_")
@@ -80,12 +82,18 @@ def _ratio(ours: list, rival: list, quantile: str) -> float:
     return median_ratio([percentiles(*one)[quantile] for one in ours], [percentiles(*one)[quantile] for one in rival])
 
 
-def _execution_table(taken: list[Slice], bench: TickBench) -> Table:
+def _execution_table(results: dict[str, list], bench: TickBench) -> Table:
+    """Phases of the tick as it is, and the whole of its variants."""
+    taken = results[TICK]
     rows, values = [], {}
     for name in PHASES:
         rows.append((name, *pooled_us([one.of(name) for one in taken])))
-        medians = [percentiles(*one.of(name))["p50"] for one in taken]
-        values[f"{name}_ns_p50"] = statistics.median(medians)
+        values[f"{name}_ns_p50"] = _median_p50_ns(taken, name)
+    for variant, key in ((PLAIN, "no_rehearsal"), (SPIN, "spin_tail")):
+        rows.append(
+            (variant.replace("tick", "execution"), *pooled_us([one.of("execution") for one in results[variant]]))
+        )
+        values[f"execution_{key}_ns_p50"] = _median_p50_ns(results[variant], "execution")
     ticks = sum(one.ticks for one in taken)
     received = sum(one.frames_received for one in taken)
     sent = sum(one.frames_sent for one in taken)
@@ -96,6 +104,10 @@ def _execution_table(taken: list[Slice], bench: TickBench) -> Table:
     title = f"Execution of a tick, {len(bench.armed.bench.state)} axis, socketpair, recorded (phases and whole)"
     values |= {"ticks": ticks, "misses": sum(one.misses for one in taken)}
     return Table("execution", title, ("phase", *HEADINGS), rows, notes, values)
+
+
+def _median_p50_ns(taken: list[Slice], name: str) -> float:
+    return statistics.median(percentiles(*one.of(name))["p50"] for one in taken)
 
 
 assert set(PHASES) <= set(HISTOGRAM_NAMES)

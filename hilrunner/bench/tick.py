@@ -212,7 +212,7 @@ class TickBench:
         """Process id of the recorder."""
         return self._recorder.process.pid
 
-    def run(self, slice_s: float, *, spin_ns: int = 0, flat_out: bool = False) -> Slice:
+    def run(self, slice_s: float, *, spin_ns: int = 0, rehearse: bool = True, flat_out: bool = False) -> Slice:
         """One slice of about `slice_s` after the warm-up ticks, from the state after arming.
 
         With `flat_out` the grid lies wholly in the past and every tick is caught up: no sleep, as fast as it goes.
@@ -221,6 +221,7 @@ class TickBench:
         for name, values in self._before.items():
             getattr(bench, name)[...] = values
         bench.clock[WORD_SPIN_NS] = spin_ns
+        bench.config[0]["rehearse"] = int(rehearse)
         bench.config[0]["overrun"] = status.OVERRUN_CATCH_UP if flat_out else status.OVERRUN_SKIP
         self.peer.drain()
         with contextlib.suppress(BlockingIOError):

@@ -94,15 +94,15 @@ def _lift_inputs_many(parameters, states, commands, supply, returned):
         bore, rod = states[i, 2], states[i, 3]
         cbv_bore, cbv_rod = cbv_conductance(prm, states[i, 4]), cbv_conductance(prm, states[i, 5])
         if command > 0.0:
-            supply_inputs(prm, bore, cbv_bore, pa, work)
+            supply_inputs(prm, bore, cbv_bore, pa, work, 0)
         else:
-            supply_inputs(prm, rod, cbv_rod, pb, work)
+            supply_inputs(prm, rod, cbv_rod, pb, work, 0)
         for k in range(3):
             supply[i, k] = work[k]
         if command > 0.0:
-            return_inputs(prm, rod, cbv_rod, bt, work)
+            return_inputs(prm, rod, cbv_rod, bt, work, 0)
         else:
-            return_inputs(prm, bore, cbv_bore, at, work)
+            return_inputs(prm, bore, cbv_bore, at, work, 0)
         for k in range(2):
             returned[i, k] = work[k]
 

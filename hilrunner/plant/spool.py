@@ -3,8 +3,9 @@
 from hilrunner.base.compiled import inlined
 from hilrunner.plant.hydraulics import opening_ratio, smooth_sign, two_sided_stop_force
 
-# of the ratio speed / friction speed; the step is taken, so what is left is its square
-_BALANCE_TOLERANCE = 1e-6
+# of the ratio speed / friction speed; the step is taken, so what is left is at most about twice its cube: below 1e-11
+_BALANCE_TOLERANCE = 5e-5
+_CURVATURE_LIMIT = 0.5  # beyond it the parabola of a step means nothing, and the tangent serves
 _SATURATED = 20.0  # friction is constant to the last bit above
 _BALANCE_LIMIT = 60
 
@@ -67,16 +68,22 @@ def mass_free_spool_ratio(prm, opening_force_n, position_m, guess):
 
 @inlined
 def _speed_ratio(driving_n, viscous_n, friction_n, guess):
-    """The z with viscous z + f_c tanh z = driving force: Newton, from the guess where it helps."""
+    """The z with viscous z + f_c tanh z = driving force: Halley's method, from the guess where it helps."""
     size = abs(driving_n)
-    # a bound from below because tanh z <= min(z, 1); the left side is concave, so Newton comes from below ever after
-    bound = max(size / (viscous_n + friction_n), (size - friction_n) / viscous_n)
+    # a bound from below because tanh z <= min(z, 1): the larger of size / (viscous + f_c) and (size - f_c) / viscous
+    steep = viscous_n + friction_n
+    bound = size / steep if size <= steep else (size - friction_n) / viscous_n
     ratio = bound
     if bound < _SATURATED:
         ratio = max(bound, guess if driving_n >= 0.0 else -guess)
         for _ in range(_BALANCE_LIMIT):
             sign = smooth_sign(ratio)
-            step = (size - viscous_n * ratio - friction_n * sign) / (viscous_n + friction_n * (1.0 - sign * sign))
+            fall = friction_n * (1.0 - sign * sign)
+            slope = viscous_n + fall
+            excess = size - viscous_n * ratio - friction_n * sign
+            square = slope * slope
+            bend = excess * sign * fall  # the curvature's part of Halley's step, times slope^2
+            step = excess * slope / (square - bend) if bend < _CURVATURE_LIMIT * square else excess / slope
             ratio = max(ratio + step, bound)
             if abs(step) <= _BALANCE_TOLERANCE * (1.0 + ratio):
                 break

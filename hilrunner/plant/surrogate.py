@@ -16,7 +16,7 @@ exact line solve near the valve's centre, below tank pressure and outside the ra
 import math
 
 from hilrunner.base import status
-from hilrunner.base.compiled import entry, hot
+from hilrunner.base.compiled import entry, hot, inlined
 from hilrunner.plant import network
 from hilrunner.plant.hydraulics import inverse_orifice_root, orifice_root
 from hilrunner.plant.line import ITERATION_LIMIT, solve_return_line, solve_supply_line, valve_conductances
@@ -34,6 +34,8 @@ Y_AT = 8
 OUTSIDE_AT = 16  # not 0: a network was asked outside its training range in this period
 SERVED_AT = 17  # evaluations served by networks, counted up over all periods
 EXACT_AT = 18  # evaluations served by the exact functions although a network exists
+PAIR_X_AT = 24  # a second network's inputs and outputs
+PAIR_Y_AT = 32
 
 # definition of the flow recipe's inputs (part of the recipe, written into every model file)
 SHARE_ROOT = math.sqrt(1e5)  # sqrt(Pa): pressure root at which spool and check valve weigh the same
@@ -41,25 +43,40 @@ RETURN_LOW_PA = 0.1e6  # below this over tank the return branch is solved exactl
 PINNED_MARGIN_N = 50.0  # force left on the open stop for a spool to count as resting there
 
 
-@hot
-def supply_inputs(prm, chamber_pa, cbv_si, valve_si, work):
-    """Inputs of the supply network: fourth root of the demand, share of the open spool, pressure drop to the chamber.
+@inlined
+def supply_inputs(prm, chamber_pa, cbv_si, valve_si, work, at):
+    """Inputs of the supply network into work[at:]: fourth root of the demand, share of the open spool, drop to the chamber.
 
     demand = K/K_ck phi(p_s - p), sqrt(Pa); share = K_c r / (K_c r + K_ck demand), 0..1, r = SHARE_ROOT; drop in Pa.
     """
     drop = prm["supply_pressure_pa"] - chamber_pa
     demand = valve_si / prm["check_si"] * orifice_root(drop, prm["transition_pressure_pa"])
     weighed = cbv_si * SHARE_ROOT
-    work[X_AT] = math.sqrt(max(demand, 0.0))
-    work[X_AT + 1] = weighed / (weighed + prm["check_si"] * demand)
-    work[X_AT + 2] = drop
+    work[at] = math.sqrt(max(demand, 0.0))
+    work[at + 1] = weighed / (weighed + prm["check_si"] * demand)
+    work[at + 2] = drop
 
 
-@hot
-def return_inputs(prm, chamber_pa, cbv_si, valve_si, work):
-    """Inputs of the return network: pressure root over tank, sqrt(Pa), and the spool's share K_c / (K_c + K), 0..1."""
-    work[X_AT] = orifice_root(chamber_pa - prm["tank_pressure_pa"], prm["transition_pressure_pa"])
-    work[X_AT + 1] = cbv_si / (cbv_si + valve_si)
+@inlined
+def return_inputs(prm, chamber_pa, cbv_si, valve_si, work, at):
+    """Inputs of the return network into work[at:]: pressure root over tank, sqrt(Pa), the spool's share K_c / (K_c + K), 0..1."""
+    work[at] = orifice_root(chamber_pa - prm["tank_pressure_pa"], prm["transition_pressure_pa"])
+    work[at + 1] = cbv_si / (cbv_si + valve_si)
+
+
+@inlined
+def supply_result(prm, chamber_pa, valve_si, over_pa):
+    """(line pressure, flow into the chamber) from what the supply network gives: the line's pressure over the chamber's."""
+    line = chamber_pa + over_pa
+    return line, valve_si * orifice_root(prm["supply_pressure_pa"] - line, prm["transition_pressure_pa"])
+
+
+@inlined
+def return_result(prm, chamber_root, valve_si, ratio):
+    """(line pressure, flow into the chamber) from what the return network gives: the line's root over the chamber's."""
+    root = chamber_root * ratio
+    drop = inverse_orifice_root(root, prm["transition_pressure_pa"])
+    return prm["tank_pressure_pa"] + drop, -valve_si * root
 
 
 @hot
@@ -67,12 +84,11 @@ def supply_line_by_network(context, prm, chamber_pa, cbv_si, valve_si, guess_pa)
     """A branch function of plant.rates_lift.make_lines: the line towards the pump."""
     words, supply_at, _, work = context
     if chamber_pa >= prm["tank_pressure_pa"]:
-        supply_inputs(prm, chamber_pa, cbv_si, valve_si, work)
+        supply_inputs(prm, chamber_pa, cbv_si, valve_si, work, X_AT)
         if not outside_training(words, supply_at, work, X_AT):
             forward_at(words, supply_at, work, X_AT, Y_AT)
             work[SERVED_AT] += 1.0
-            line = chamber_pa + work[Y_AT]
-            flow = valve_si * orifice_root(prm["supply_pressure_pa"] - line, prm["transition_pressure_pa"])
+            line, flow = supply_result(prm, chamber_pa, valve_si, work[Y_AT])
             return line, flow, 0
         work[OUTSIDE_AT] = 1.0
     work[EXACT_AT] += 1.0
@@ -87,19 +103,61 @@ def return_line_by_network(context, prm, chamber_pa, cbv_si, valve_si, guess_pa)
     if over >= RETURN_LOW_PA:
         if cbv_si == 0.0:
             return prm["tank_pressure_pa"], 0.0, 0  # shut: a learned zero would let the load creep
-        return_inputs(prm, chamber_pa, cbv_si, valve_si, work)
+        return_inputs(prm, chamber_pa, cbv_si, valve_si, work, X_AT)
         if not outside_training(words, return_at, work, X_AT):
             forward_at(words, return_at, work, X_AT, Y_AT)
             work[SERVED_AT] += 1.0
-            root = work[X_AT] * work[Y_AT]
-            drop = inverse_orifice_root(root, prm["transition_pressure_pa"])
-            return prm["tank_pressure_pa"] + drop, -valve_si * root, 0
+            line, flow = return_result(prm, work[X_AT], valve_si, work[Y_AT])
+            return line, flow, 0
         work[OUTSIDE_AT] = 1.0
     work[EXACT_AT] += 1.0
     return solve_return_line(0, prm, chamber_pa, cbv_si, valve_si, guess_pa)
 
 
-_network_lines_at = make_lines(supply_line_by_network, return_line_by_network)
+_lines_one_by_one = make_lines(supply_line_by_network, return_line_by_network)
+
+
+@hot
+def _lines_apart(context, pressure_1_pa, pressure_2_pa, spool_1_m, spool_2_m, lines):
+    """Each line by itself: near the valve's centre, with a shut valve, where a network does not know the answer."""
+    return _lines_one_by_one(context, pressure_1_pa, pressure_2_pa, spool_1_m, spool_2_m, lines)
+
+
+@inlined
+def _network_lines_at(context, pressure_1_pa, pressure_2_pa, spool_1_m, spool_2_m, lines):
+    """Both lines of `lift`, their networks interleaved where both serve: the pump drives one line, the other drains."""
+    prm, _, _, conductances, line_context = context
+    supply_a, return_a, supply_b, return_b = conductances
+    words, supply_at, return_at, work = line_context
+    into_a = supply_a > 0.0
+    supply_si, return_si = (supply_a, return_b) if into_a else (supply_b, return_a)
+    other_edges_si = return_a if into_a else return_b  # of the driven line to the tank
+    driven_pa, drained_pa = (pressure_1_pa, pressure_2_pa) if into_a else (pressure_2_pa, pressure_1_pa)
+    driven_m, drained_m = (spool_1_m, spool_2_m) if into_a else (spool_2_m, spool_1_m)
+    drained_si = cbv_conductance(prm, drained_m)
+    tank = prm["tank_pressure_pa"]
+    if (
+        supply_si > 0.0
+        and other_edges_si == 0.0
+        and drained_si != 0.0
+        and driven_pa >= tank
+        and drained_pa - tank >= RETURN_LOW_PA
+    ):
+        supply_inputs(prm, driven_pa, cbv_conductance(prm, driven_m), supply_si, work, X_AT)
+        return_inputs(prm, drained_pa, drained_si, return_si, work, PAIR_X_AT)
+        if not (outside_training(words, supply_at, work, X_AT) or outside_training(words, return_at, work, PAIR_X_AT)):
+            forward_at(words, supply_at, work, X_AT, Y_AT)
+            forward_at(words, return_at, work, PAIR_X_AT, PAIR_Y_AT)
+            work[SERVED_AT] += 2.0
+            driven, driven_flow = supply_result(prm, driven_pa, supply_si, work[Y_AT])
+            drained, drained_flow = return_result(prm, work[PAIR_X_AT], return_si, work[PAIR_Y_AT])
+            line_a, line_b = (driven, drained) if into_a else (drained, driven)
+            flow_1, flow_2 = (driven_flow, drained_flow) if into_a else (drained_flow, driven_flow)
+            found = (line_a, line_b, lines[2], pressure_1_pa, pressure_2_pa, 0.0, 0.0, lines[7], lines[8])
+            return found, flow_1, flow_2
+    return _lines_apart(context, pressure_1_pa, pressure_2_pa, spool_1_m, spool_2_m, lines)
+
+
 _lift = make_rk4(make_mass_free_rates(_network_lines_at), 6)
 
 

@@ -4,17 +4,15 @@ Each layer is a sum of columns (weight column times one broadcast activation); t
 vectors of LANES float64, so nothing is gathered. Several partial sums per layer hide the latency of the fused
 multiply-add. LLVM legalises the vector width for the CPU at hand (AVX-512: 8 lanes at once, AVX2: 4, NEON: 2 x 2).
 
-tanh: tanh(x) = (E - 1)/(E + 1), E = exp(2x) = 2^k 2^f with k integer, |f| <= 1/2. The factor 2/ln 2 is folded into
-the packed weights, so f is exact; 2^f = (Q + f P)/(Q - f P) with P, Q quadratics in f^2 (Chebyshev interpolation of
-tanh(f ln 2 / 2)/f, relative error 5e-18), which leaves one division in all. Absolute error below 3e-16 (tested).
+tanh is that of plant.tanh; its factor 2/ln 2 is folded into the packed weights, so f is exact there. Absolute error below
+3e-16 (tested).
 """
-
-import math
 
 import numpy as np
 from llvmlite import ir
 
 from hilrunner.base import compiled  # noqa: F401  (sets the cache folder before numba loads)
+from hilrunner.plant.tanh import P0, P1, PRESCALE, Q0, Q1, Q2, ROUNDING
 
 from numba import config, types  # isort: skip
 from numba.core import cgutils  # isort: skip
@@ -24,13 +22,8 @@ from numba.extending import intrinsic  # isort: skip
 HIDDEN = (25, 10, 20)
 MAX_INPUTS = 8
 MAX_OUTPUTS = 8
-PRESCALE = 2.0 / math.log(2.0)  # exp(2x) = 2^(x * PRESCALE)
 PARTIAL_SUMS = (1, 4, 2)  # per layer; the first layer has enough rows to hide the latency by itself
 SATURATION = 64.0  # 2^64: tanh is 1 to the last bit
-
-_P0, _P1 = 65551.029892973614204, 874.74373134673126334
-_Q0, _Q1, _Q2 = 189140.29150351446282, 10096.728812044315471, 43.300557165732710361
-_ROUNDING = 1.5 * 2.0**52  # adding it leaves the nearest integer in the low bits of the mantissa
 
 
 def host_lanes() -> int:
@@ -186,11 +179,11 @@ class _Emitter:
         low, high = self.constant(-SATURATION), self.constant(SATURATION)
         t = b.select(b.fcmp_ordered("<", t, low), low, t)
         t = b.select(b.fcmp_ordered(">", t, high), high, t)
-        shifted = b.fadd(t, self.constant(_ROUNDING))
-        f = b.fsub(t, b.fsub(shifted, self.constant(_ROUNDING)))
+        shifted = b.fadd(t, self.constant(ROUNDING))
+        f = b.fsub(t, b.fsub(shifted, self.constant(ROUNDING)))
         s = b.fmul(f, f)
-        p = self.fma(b.fadd(s, self.constant(_P1)), s, self.constant(_P0))
-        q = self.fma(self.fma(s, self.constant(_Q2), self.constant(_Q1)), s, self.constant(_Q0))
+        p = self.fma(b.fadd(s, self.constant(P1)), s, self.constant(P0))
+        q = self.fma(self.fma(s, self.constant(Q2), self.constant(Q1)), s, self.constant(Q0))
         above = self.fma(f, p, q)
         below = self.fma(b.fneg(f), p, q)
         shift = ir.Constant(self.words, [ir.Constant(self.word, 52)] * self.lanes)

@@ -31,6 +31,7 @@ CONFIG = np.dtype(
         ("stimulus_tick_count", "i8"),  # 0: commands come from the bus
         ("schedstat_fd", "i8"),
         ("record", "i8"),  # 1: fill the ring
+        ("rehearse", "i8"),  # 1: rehearse each tick before its deadline, where there is room
         ("period_s", "f8"),
     ],
     align=True,

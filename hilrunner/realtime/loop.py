@@ -1,4 +1,4 @@
-"""The whole period as one compiled function that needs no interpreter, and the only file that knows time.
+"""The whole period as one compiled function that needs no interpreter; with `waiting`, all that knows time.
 
 The grid never moves: tick k is due at start + k period. A tick that ends past the end of its period is a miss. After a miss the next
 tick starts at once if less than a whole period is lost, so 0.1 ms late costs 0.1 ms; whole lost periods are handled by the
@@ -18,16 +18,7 @@ from hilrunner.base.records import (
     TICK_FLAG_NEAR_MISS,
 )
 from hilrunner.realtime import command, ring
-from hilrunner.realtime.clock import (
-    WORD_CYCLE_RATE,
-    WORD_SPIN_NS,
-    anchor,
-    now_mono_ns,
-    now_real_ns,
-    sleep_until,
-    spin_until,
-    wait_until,
-)
+from hilrunner.realtime.clock import WORD_CYCLE_RATE, anchor, now_mono_ns, now_real_ns
 from hilrunner.realtime.cycle import decode_stage, encode_stage, fill_command_record, fill_state_record, step_stage
 from hilrunner.realtime.handle import handle
 from hilrunner.realtime.histogram import record_corrected, record_value
@@ -41,8 +32,9 @@ from hilrunner.realtime.miss import (
     read_usage,
     suspect_cause,
 )
-from hilrunner.realtime.rehearsal import rehearsal_of, rehearse
+from hilrunner.realtime.rehearsal import rehearsal_of
 from hilrunner.realtime.socketcan import receive_frames, send_frames
+from hilrunner.realtime.waiting import wait_for_tick
 
 _STRIDE = ring_layout.HEADER_STRIDE
 _WAKE_LATENESS = HISTOGRAM_NAMES.index("wake_lateness")
@@ -52,7 +44,6 @@ _PERIOD = HISTOGRAM_NAMES.index("period")
 _COMMAND_AGE = HISTOGRAM_NAMES.index("command_age")
 _RESPONSE = HISTOGRAM_NAMES.index("response")
 NO_BUS = -1
-_REHEARSAL_SLACK_NS = 2_000  # between the expected end of a rehearsal and the deadline
 
 
 def run_loop(bench: Bench, descriptor: int, start_mono_ns: int, tick_limit: int) -> int:
@@ -91,7 +82,7 @@ def _run(bench, shadow, descriptor, start_mono_ns, tick_limit):
         ahead_ns = deadline_mono_ns - now_mono_ns(bench.clock)
         progress["carried_ns"] = max(-ahead_ns, 0)
         if ahead_ns > 0:
-            _wait(bench, shadow, descriptor, tick, deadline_mono_ns)
+            wait_for_tick(bench, shadow, descriptor, tick, deadline_mono_ns)
         wake_ns = anchor(bench.clock)  # before anything of the tick is touched: those memory lines are cold
         reason = _run_tick(bench, descriptor, tick, skipped, deadline_mono_ns, wake_ns)
         late_ns = now_mono_ns(bench.clock) - (deadline_mono_ns + period_ns)
@@ -102,49 +93,6 @@ def _run(bench, shadow, descriptor, start_mono_ns, tick_limit):
             bench.ring.header[ring_layout.WORD_SKIPPED_TOTAL * _STRIDE] += skipped
         tick += 1 + skipped
     return reason
-
-
-@hot
-def _wait(bench, shadow, descriptor, tick, deadline_mono_ns):
-    """Sleep to the deadline; with a spin tail, sleep short of it, spin, and rehearse the tick just before its time."""
-    clock = bench.clock
-    spin_ns = clock[WORD_SPIN_NS]
-    if spin_ns == 0:
-        wait_until(clock, deadline_mono_ns)
-        return
-    sleep_until(clock, deadline_mono_ns - spin_ns)
-    progress = bench.progress[0]
-    room_ns = _rehearsal_room_ns(progress, spin_ns)
-    latest_mono_ns = deadline_mono_ns - room_ns + _REHEARSAL_SLACK_NS
-    if progress["rehearsal_ns"] == 0:
-        latest_mono_ns = deadline_mono_ns  # the first one may take what is left
-    if room_ns > 0 and now_mono_ns(clock) < latest_mono_ns:
-        spin_until(clock, deadline_mono_ns - room_ns)
-        begin_mono_ns = now_mono_ns(clock)
-        rehearse(bench, shadow, descriptor, tick)
-        _learn_rehearsal(progress, now_mono_ns(clock) - begin_mono_ns)
-    spin_until(clock, deadline_mono_ns)
-
-
-@hot
-def _rehearsal_room_ns(progress, spin_ns):
-    """How long before the deadline a rehearsal has to begin; 0: the spin tail is too short for one."""
-    if progress["rehearsal_ns"] == 0:
-        return spin_ns  # the first one tells how long they take
-    expected_ns = progress["rehearsal_ns"]
-    if expected_ns + (expected_ns >> 2) + _REHEARSAL_SLACK_NS > spin_ns:
-        expected_ns = progress["rehearsal_ns_min"]  # the last one was held up, or there never is enough room
-    room_ns = expected_ns + (expected_ns >> 2) + _REHEARSAL_SLACK_NS
-    return room_ns if room_ns <= spin_ns else np.int64(0)
-
-
-@hot
-def _learn_rehearsal(progress, took_ns):
-    """Follow a longer rehearsal at once and a shorter one slowly."""
-    before_ns = progress["rehearsal_ns"]
-    shortest_ns = progress["rehearsal_ns_min"]
-    progress["rehearsal_ns"] = max(took_ns, before_ns - ((before_ns - took_ns) >> 4))
-    progress["rehearsal_ns_min"] = took_ns if shortest_ns == 0 else min(took_ns, shortest_ns)
 
 
 @hot

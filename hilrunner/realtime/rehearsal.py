@@ -1,9 +1,9 @@
-"""A dry run of the period within the spin tail: what the period will touch is in the caches when its deadline comes.
+"""A dry run of the period shortly before its deadline: what the period will touch is in the caches when its time comes.
 
-A core that has waited most of a millisecond runs the same code half as fast: its caches, branch predictors and address
-translations have gone to others. The spin tail burns that time anyway, so one part of it receives (peeks), decodes, steps and
-encodes the period to come on copies of the state, and throws the result away. Nothing is sent, counted or logged, and the
-period itself starts from the state it would have started from: a run with and without rehearsal gives the same bits.
+A core that has waited most of a millisecond runs the same code up to half as fast again: its caches, branch predictors and address
+translations have gone to others. So the tick to come is received (peeked), decoded, stepped and encoded on copies of the
+state, and the result is thrown away. Nothing is sent, counted or logged, and the period itself starts from the state it would have
+started from: a run with and without rehearsal gives the same bits. `waiting` chooses the moment.
 """
 
 from hilrunner.base.compiled import hot

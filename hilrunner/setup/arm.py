@@ -141,6 +141,7 @@ def _config(loaded: LoadedProfile, stimulus, overrun: str | None, schedstat_fd: 
     config["stimulus_tick_count"] = 0 if stimulus is None else len(stimulus)
     config["schedstat_fd"] = schedstat_fd
     config["record"] = int(record)
+    config["rehearse"] = int(profile.bench.rehearse)
     for limit, limit_field, action_field, factor in (
         (profile.deadline.consecutive_misses, "consecutive_miss_max", "consecutive_miss_action", 1),
         (profile.deadline.total_misses, "total_miss_max", "total_miss_action", 1),

@@ -32,6 +32,7 @@ class Bench(Struct, forbid_unknown_fields=True, frozen=True):
     warm_up_ticks: Annotated[int, Meta(ge=0, le=1_000_000)] = 100  # run and logged, but kept out of the statistics
     overrun: Literal["skip", "catch-up", "stop"] = "skip"
     spin_us: Annotated[int, Meta(ge=0, le=10_000)] = 0
+    rehearse: bool = True
     engine: Literal["surrogate", "reference", "onnx"] = "surrogate"  # where the command names none
 
 

@@ -49,7 +49,7 @@ def _supply_answers(parameters, chamber_pa, valve_si, cbv_si, inputs, targets, s
     prm = parameters[0]
     work = np.zeros(16)
     for i in range(len(chamber_pa)):
-        surrogate.supply_inputs(prm, chamber_pa[i], cbv_si[i], valve_si[i], work)
+        surrogate.supply_inputs(prm, chamber_pa[i], cbv_si[i], valve_si[i], work, 0)
         line, _, count = solve_supply_line(0, prm, chamber_pa[i], cbv_si[i], valve_si[i], chamber_pa[i] + 1e5)
         inputs[i] = work[:3]
         targets[i, 0] = line - chamber_pa[i]
@@ -100,7 +100,7 @@ def _return_answers(parameters, chamber_pa, valve_si, cbv_si, inputs, targets, s
     prm = parameters[0]
     work = np.zeros(16)
     for i in range(len(chamber_pa)):
-        surrogate.return_inputs(prm, chamber_pa[i], cbv_si[i], valve_si[i], work)
+        surrogate.return_inputs(prm, chamber_pa[i], cbv_si[i], valve_si[i], work, 0)
         share = cbv_si[i] * cbv_si[i] / (cbv_si[i] * cbv_si[i] + valve_si[i] * valve_si[i])
         guess = prm["tank_pressure_pa"] + share * (chamber_pa[i] - prm["tank_pressure_pa"])
         _, flow, count = solve_return_line(0, prm, chamber_pa[i], cbv_si[i], valve_si[i], guess)

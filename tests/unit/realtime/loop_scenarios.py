@@ -17,7 +17,7 @@ import numpy as np  # noqa: E402
 
 from hilrunner.base import records, status  # noqa: E402
 from hilrunner.base import ring as ring_layout  # noqa: E402
-from hilrunner.realtime import loop  # noqa: E402
+from hilrunner.realtime import loop, waiting  # noqa: E402
 from hilrunner.realtime.clock import WORD_FAKE  # noqa: E402
 from hilrunner.setup import axes  # noqa: E402
 from hilrunner.setup.arm import arm, local_ring, ring_shape  # noqa: E402
@@ -35,6 +35,7 @@ name = "scenario"
 period_us = 1000
 warm_up_ticks = {warm_up}
 overrun = "{overrun}"
+rehearse = {rehearse}
 [[axis]]
 name = "luffing"
 [axis.load]
@@ -105,9 +106,10 @@ def bind(world: World) -> None:
         return lambda descriptor, box, *rest: bench_tick_table.get(len(world.ran), 0)
 
     loop.now_mono_ns = loop.now_real_ns = loop.anchor = now
-    loop.wait_until = loop.sleep_until = wait
-    loop.spin_until = spin
-    loop.rehearse = rehearse
+    waiting.now_mono_ns = now
+    waiting.wait_until = waiting.sleep_until = wait
+    waiting.spin_until = spin
+    waiting.rehearse = rehearse
     loop.step_stage = step
     loop.encode_stage = lambda bench, tick: 0 if not world.send else 1
     loop.receive_frames = current(world.receive)
@@ -115,11 +117,13 @@ def bind(world: World) -> None:
     loop.read_usage = lambda *arguments: None
 
 
-def run(world: World, ticks: int, overrun="skip", warm_up=0, more="", descriptor=-1, stimulus=None, spin_ns=0) -> dict:
+def run(
+    world: World, ticks: int, overrun="skip", warm_up=0, more="", descriptor=-1, stimulus=None, spin_ns=0, rehearse=True
+) -> dict:
     """One scenario; what happened, as plain numbers."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scenario.toml"
-        path.write_text(PROFILE.format(overrun=overrun, warm_up=warm_up, more=more))
+        path.write_text(PROFILE.format(overrun=overrun, warm_up=warm_up, more=more, rehearse=str(rehearse).lower()))
         loaded = load_profile(str(path))
         shape = ring_shape(loaded, 0.1)
         ring = local_ring(shape)
@@ -192,6 +196,8 @@ SCENARIOS = {
     "rehearsed": lambda: run(World(), 12, spin_ns=200_000),
     "rehearsal_held_up": lambda: run(World(rehearsals={4: 500_000}), 12, spin_ns=200_000),
     "rehearsal_too_long": lambda: run(World(), 12, spin_ns=50_000),
+    "rehearsal_not_worth_it": lambda: run(World(rehearsals={0: 110_000}), 6),
+    "rehearsal_off": lambda: run(World(), 6, rehearse=False, spin_ns=200_000),
     "rehearsal_woken_late": lambda: run(World(wakes={6: 170_000}), 12, spin_ns=200_000),
     "ring_full": lambda: run(World(), 300),
 }

@@ -150,6 +150,22 @@ def test_other_ends(happened):
     assert happened["no_ticks"]["ran"] == []
 
 
+def test_a_rehearsal_without_spin_tail_is_over_before_an_ordinary_wake_up_would_be_late(happened):
+    result = happened["on_time"]
+    assert [tick for tick, _, _ in result["rehearsed"]] == list(range(8))
+    assert all(100_000 < begin_ns < 130_000 for _, begin_ns, _ in result["rehearsed"][1:])
+    assert all(left_ns > 60_000 for _, _, left_ns in result["rehearsed"])
+
+
+def test_a_late_wake_up_leaves_the_rehearsal_out(happened):
+    assert [tick for tick, _, _ in happened["late_wake"]["rehearsed"]] == [0, 1, 2, 3, 5, 6, 7]
+
+
+def test_no_rehearsal_where_the_tick_takes_too_much_of_the_period(happened):
+    assert [tick for tick, _, _ in happened["rehearsal_not_worth_it"]["rehearsed"]] == [0]
+    assert happened["rehearsal_off"]["rehearsed"] == []
+
+
 def test_a_rehearsal_ends_just_before_the_deadline(happened):
     result = happened["rehearsed"]
     assert [tick for tick, _, _ in result["rehearsed"]] == list(range(12))
