@@ -8,6 +8,7 @@ would not fit: a short period or spin tail, a tick that takes long, a late wake-
 import numpy as np
 
 from hilrunner.base.compiled import hot
+from hilrunner.base.status import PHASE_RECORD
 from hilrunner.realtime.clock import WORD_CYCLE_RATE, WORD_SPIN_NS, now_mono_ns, sleep_until, spin_until, wait_until
 from hilrunner.realtime.rehearsal import rehearse
 
@@ -29,13 +30,11 @@ def wait_for_tick(bench, shadow, descriptor, tick, deadline_mono_ns):
     limit_ns = spin_ns if spin_ns > 0 else bench.config[0]["period_ns"] >> _PERIOD_SHARE_SHIFT
     room_ns = np.int64(0)
     if bench.config[0]["rehearse"] != 0 and clock[WORD_CYCLE_RATE] == 0:
-        room_ns = _room_ns(progress, limit_ns)
+        room_ns = _room_ns(progress, _tick_ns(bench.phase_ns), limit_ns)
     if room_ns == 0:
         wait_until(clock, deadline_mono_ns)
         return
     latest_mono_ns = deadline_mono_ns - room_ns + _SLACK_NS
-    if progress["rehearsal_ns"] == 0:
-        latest_mono_ns = deadline_mono_ns  # the first one may take what is left
     if spin_ns > 0:
         sleep_until(clock, deadline_mono_ns - spin_ns)
         if now_mono_ns(clock) < latest_mono_ns:
@@ -50,15 +49,29 @@ def wait_for_tick(bench, shadow, descriptor, tick, deadline_mono_ns):
 
 
 @hot
-def _room_ns(progress, limit_ns):
+def _tick_ns(phase_ns):
+    """What the tick before took from receive to send; 0 before the first one."""
+    total_ns = np.int64(0)
+    for phase in range(PHASE_RECORD):
+        total_ns += phase_ns[phase]
+    return total_ns
+
+
+@hot
+def _room_ns(progress, tick_ns, limit_ns):
     """How long before the deadline a rehearsal has to begin; 0: it would not fit."""
-    if progress["rehearsal_ns"] == 0:
-        return limit_ns  # the first one tells how long they take
     expected_ns = progress["rehearsal_ns"]
-    if expected_ns + (expected_ns >> 2) + _SLACK_NS > limit_ns:
+    if expected_ns == 0:
+        expected_ns = tick_ns  # the first one: like a tick
+    elif _with_slack(expected_ns) > limit_ns:
         expected_ns = progress["rehearsal_ns_min"]  # the last one was held up, or there never is enough room
-    room_ns = expected_ns + (expected_ns >> 2) + _SLACK_NS
-    return room_ns if room_ns <= limit_ns else np.int64(0)
+    room_ns = _with_slack(expected_ns)
+    return room_ns if 0 < expected_ns and room_ns <= limit_ns else np.int64(0)
+
+
+@hot
+def _with_slack(expected_ns):
+    return expected_ns + (expected_ns >> 2) + _SLACK_NS
 
 
 @hot

@@ -26,7 +26,9 @@ from hilrunner.setup.profile import load_profile  # noqa: E402
 START_NS = 1_000_000_000
 PERIOD_NS = 1_000_000
 READ_COST_NS = 10
-REHEARSAL_NS = 40_000
+EVEN = dict.fromkeys(
+    range(12), 40_000
+)  # a step a tick; a rehearsal takes what the tick before took, if not told otherwise
 WORD_NOW = WORD_FAKE  # word of the clock array that holds the simulated time
 
 PROFILE = """
@@ -92,7 +94,7 @@ def bind(world: World) -> None:
     def rehearse(bench, shadow, descriptor, tick):
         deadline_ns = START_NS + tick * PERIOD_NS
         begin_ns = int(bench.clock[WORD_NOW])
-        bench.clock[WORD_NOW] += world.rehearsals.get(int(tick), REHEARSAL_NS)
+        bench.clock[WORD_NOW] += world.rehearsals.get(int(tick), world.steps.get(int(tick) - 1, 0))
         world.rehearsed.append((int(tick), int(deadline_ns) - begin_ns, int(deadline_ns) - int(bench.clock[WORD_NOW])))
 
     def step(bench, tick, periods):
@@ -193,12 +195,14 @@ SCENARIOS = {
     "stop_request": lambda: run(World(stop_at=5), 1000),
     "stimulus_end": lambda: run(World(), 1000, stimulus=np.zeros((7, 1))),
     "no_ticks": lambda: run(World(), 0),
-    "rehearsed": lambda: run(World(), 12, spin_ns=200_000),
-    "rehearsal_held_up": lambda: run(World(rehearsals={4: 500_000}), 12, spin_ns=200_000),
-    "rehearsal_too_long": lambda: run(World(), 12, spin_ns=50_000),
-    "rehearsal_not_worth_it": lambda: run(World(rehearsals={0: 110_000}), 6),
-    "rehearsal_off": lambda: run(World(), 6, rehearse=False, spin_ns=200_000),
-    "rehearsal_woken_late": lambda: run(World(wakes={6: 170_000}), 12, spin_ns=200_000),
+    "rehearsed_asleep": lambda: run(World(steps=EVEN), 12),
+    "rehearsal_longer_than_the_tick": lambda: run(World(steps=EVEN, rehearsals={1: 180_000}), 12, spin_ns=200_000),
+    "rehearsed": lambda: run(World(steps=EVEN), 12, spin_ns=200_000),
+    "rehearsal_held_up": lambda: run(World(steps=EVEN, rehearsals={4: 500_000}), 12, spin_ns=200_000),
+    "rehearsal_too_long": lambda: run(World(steps=EVEN), 12, spin_ns=50_000),
+    "rehearsal_not_worth_it": lambda: run(World(steps=dict.fromkeys(range(6), 110_000)), 6),
+    "rehearsal_off": lambda: run(World(steps=EVEN), 6, rehearse=False, spin_ns=200_000),
+    "rehearsal_woken_late": lambda: run(World(steps=EVEN, wakes={6: 170_000}), 12, spin_ns=200_000),
     "ring_full": lambda: run(World(), 300),
 }
 
