@@ -42,7 +42,7 @@ if INTERPRETED:  # before any hot function is defined
 
 from hilrunner.base import records, status  # noqa: E402
 from hilrunner.plant import hydraulics, initial, line, rates_paper, residual, stability, step, wave  # noqa: E402
-from hilrunner.realtime import clock, cycle, loop, miss, rehearsal, socketcan  # noqa: E402, waiting
+from hilrunner.realtime import clock, cycle, loop, miss, rehearsal, socketcan, waiting  # noqa: E402
 from hilrunner.record import crosscheck  # noqa: E402
 from hilrunner.setup import arm as arming  # noqa: E402
 from hilrunner.setup import axes as axis_setup  # noqa: E402
