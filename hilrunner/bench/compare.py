@@ -101,9 +101,18 @@ def _execution_table(results: dict[str, list], bench: TickBench) -> Table:
         f"{ticks} ticks, {received / ticks:.2f} frames in and {sent / ticks:.2f} out a tick, "
         f"{sum(one.misses for one in taken)} late, {sum(one.dropped for one in taken)} lost to the log"
     ]
+    shares = {name: _processor_us(results[name]) for name in (TICK, PLAIN, SPIN)}
+    notes.append(
+        "processor time a tick, waiting included: " + ", ".join(f"{name} {us:.0f} us" for name, us in shares.items())
+    )
     title = f"Execution of a tick, {len(bench.armed.bench.state)} axis, socketpair, recorded (phases and whole)"
+    values |= {f"processor_{name.replace(', ', '_').replace(' ', '_')}_us": us for name, us in shares.items()}
     values |= {"ticks": ticks, "misses": sum(one.misses for one in taken)}
     return Table("execution", title, ("phase", *HEADINGS), rows, notes, values)
+
+
+def _processor_us(taken: list[Slice]) -> float:
+    return sum(one.processor_ns for one in taken) / max(sum(one.ticks for one in taken), 1) / NS_PER_US
 
 
 def _median_p50_ns(taken: list[Slice], name: str) -> float:

@@ -73,6 +73,7 @@ class Slice:
     frames_received: int
     frames_sent: int
     peer_sent: int
+    processor_ns: int  # of the loop's thread, in the kernel too
     state: np.ndarray  # float64[axis, STATE_SIZE] at the end
 
     def of(self, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -237,12 +238,18 @@ class TickBench:
         self._store(ring_layout.WORD_START_MONO_NS, start_mono_ns)
         self.peer.start(max(start_mono_ns, time.monotonic_ns()), self.period_ns)
         try:
-            self._thread.call(lambda: run_loop(bench, self._loop_end.fileno(), start_mono_ns, ticks))
+            processor_ns = self._thread.call(lambda: self._timed_loop(start_mono_ns, ticks))
         finally:
             self.peer.stop()
-        return self._slice(histogram, dropped)
+        return self._slice(histogram, dropped, processor_ns)
 
-    def _slice(self, histogram_before: np.ndarray, dropped_before: int) -> Slice:
+    def _timed_loop(self, start_mono_ns: int, ticks: int) -> int:
+        """The loop; the processor time it took, ns."""
+        before_ns = time.thread_time_ns()
+        run_loop(self.armed.bench, self._loop_end.fileno(), start_mono_ns, ticks)
+        return time.thread_time_ns() - before_ns
+
+    def _slice(self, histogram_before: np.ndarray, dropped_before: int, processor_ns: int) -> Slice:
         progress = self.armed.bench.progress[0]
         return Slice(
             histogram=self.ring.histogram - histogram_before,
@@ -254,6 +261,7 @@ class TickBench:
             frames_received=int(progress["frames_received"]),
             frames_sent=int(progress["frames_sent"]),
             peer_sent=int(self.peer.words[WORD_SENT]),
+            processor_ns=processor_ns,
             state=self.armed.bench.state.copy(),
         )
 

@@ -81,7 +81,7 @@ def test_bisection_finds_the_most(most):
 def _slice_with(wake_ns: list[int]) -> Slice:
     rows, extremes = histogram_scale.empty(10)
     rows[0], extremes[0] = histogram_scale.from_values(np.array(wake_ns))
-    return Slice(rows, extremes, len(wake_ns), 0, 0, 0, 0, 0, 0, np.zeros((1, 10)))
+    return Slice(rows, extremes, len(wake_ns), 0, 0, 0, 0, 0, 0, 0, np.zeros((1, 10)))
 
 
 @pytest.mark.parametrize(
