@@ -72,6 +72,14 @@ def stimulus_of(run: Run, notes: list[str]) -> np.ndarray | None:
     return stimulus
 
 
+def known_stimulus(run: Run) -> np.ndarray | None:
+    """`stimulus_of`, NaN where the commands are only logged ones and so unknown in skipped periods."""
+    stimulus = stimulus_of(run, [])
+    if stimulus is not None and STIMULUS_ATTACHMENT not in run.attachments:
+        return np.full_like(stimulus, np.nan)
+    return stimulus
+
+
 def _from_attachment(run: Run, data: bytes) -> np.ndarray:
     with tempfile.TemporaryFile() as file:
         file.write(data)

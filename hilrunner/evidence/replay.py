@@ -11,7 +11,7 @@ from hilrunner.base.errors import LogError
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
 from hilrunner.evidence.facts import RunFacts, read_facts
 from hilrunner.evidence.reader import Run, read_run
-from hilrunner.evidence.rebuild import engine_of, stimulus_of, unpacked_profile
+from hilrunner.evidence.rebuild import engine_of, known_stimulus, unpacked_profile
 from hilrunner.evidence.replay_dae import IDA_RTOL, AxisDae, replay_dae
 from hilrunner.evidence.replay_exact import ExactReplay, replay_exact
 from hilrunner.evidence.report import finite
@@ -98,7 +98,7 @@ def _check_axes(run: Run, loaded: LoadedProfile) -> None:
 
 def _dae(run: Run, loaded: LoadedProfile, engine: int, options: ReplayOptions, progress: Progress) -> list[AxisDae]:
     built, plants = build_axes(loaded, engine), reference_plants(loaded)
-    driven_by_stimulus = stimulus_of(run, []) is not None
+    stimulus = known_stimulus(run)
     limits = tolerances(loaded.profile.crosscheck)
     span = options.duration_s
     tick_limit = None if span is None else int(np.searchsorted(run.tick["tick"], round(span / period_s(loaded))))
@@ -114,7 +114,7 @@ def _dae(run: Run, loaded: LoadedProfile, engine: int, options: ReplayOptions, p
                 built.initial_states[index],
                 period_s(loaded),
                 limits,
-                stimulus=driven_by_stimulus,
+                stimulus=None if stimulus is None else stimulus[:, index],
                 rtol=options.rtol,
                 tick_limit=tick_limit,
                 progress=lambda share, name=axis.name: progress(f"IDA, axis {name}", share),

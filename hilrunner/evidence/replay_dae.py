@@ -85,7 +85,7 @@ def replay_dae(
     initial_state: np.ndarray,
     period_s: float,
     limits: np.ndarray,
-    stimulus: bool = False,
+    stimulus: np.ndarray | None = None,
     rtol: float = IDA_RTOL,
     tick_limit: int | None = None,
     progress: Progress = lambda share: None,
@@ -96,10 +96,11 @@ def replay_dae(
         log: read with all columns. axis, index: the axis and its place in the profile.
         plants: reference plants of every axis. engine_plant: the axis' plant as the run had it (its networks' range).
         initial_state: float64[10] before the first tick. limits: float64[12], tolerances as in record.crosscheck.
-        stimulus: a stimulus drove the run, not frames: its command moves on in skipped periods.
+        stimulus: float64[tick], the axis' commands where a stimulus drove the run, NaN where not known; None: frames did.
         tick_limit: compare the first so many logged ticks only.
     """
     notes: list[str] = []
+    stimulus = np.zeros(0) if stimulus is None else np.ascontiguousarray(stimulus)
     command, state, skipped = _rows(log, axis, tick_limit)
     commands, scales, period_of_row, starts = expand_inputs(command, state, skipped, stimulus)
     if len(starts) > 1:
@@ -159,7 +160,7 @@ def _rows(log: Run, axis: str, tick_limit: int | None) -> tuple[np.ndarray, np.n
     return rows[0], rows[1], rows[2]["skipped_count"].astype(np.int64)
 
 
-def expand_inputs(command: np.ndarray, state: np.ndarray, skipped: np.ndarray, stimulus: bool):
+def expand_inputs(command: np.ndarray, state: np.ndarray, skipped: np.ndarray, stimulus: np.ndarray):
     """Inputs of every grid period, also of skipped ones, under the assumptions of record.crosscheck.
 
     Returns (commands float64[p], load scales float64[p], last period of each logged tick int64[n],
@@ -177,8 +178,14 @@ def expand_inputs(command: np.ndarray, state: np.ndarray, skipped: np.ndarray, s
     share = (np.arange(total) - (ends - count)[row] + 1) / count[row]
     valve, scale = command["valve_command"], state["load_scale"]
     before = np.maximum(row - 1, 0)
-    ramping = (stimulus | (command["mode"] == status.MODE_STALE_RAMP))[row]
+    ramping = ((len(stimulus) > 0) | (command["mode"] == status.MODE_STALE_RAMP))[row]
     commands = np.where(ramping, valve[before] + (valve[row] - valve[before]) * share, valve[row])
+    if len(stimulus):
+        last = len(stimulus) - 1
+        own = stimulus[np.minimum(number, last)] == valve
+        period = number[row] - (ends[row] - 1 - np.arange(total))
+        known = own[row] & (own[before] | (row == 0))
+        commands = np.where(known, stimulus[np.clip(period, 0, last)], commands)
     scales = scale[before] + (scale[row] - scale[before]) * share
     starts = [(int(at), int(ends[at]), True) for at in np.flatnonzero(gap)]
     if not len(gap) or not gap[0]:

@@ -164,10 +164,12 @@ class CheckWorker:
         from hilrunner.record import crosscheck  # numba and the plant: only here, off the path to the open log
 
         settings = self._settings
-        with open(settings.axis_plants_path, "rb") as file:
-            plants = pickle.load(file)
+        with open(settings.plants_path, "rb") as file:
+            plants, stimulus = pickle.load(file)
         with contextlib.suppress(OSError):
-            os.unlink(settings.axis_plants_path)
+            os.unlink(settings.plants_path)
+        if stimulus is None:
+            stimulus = np.zeros((len(plants), 0))
         period_s = self._period_ns / NS_PER_S
         model = crosscheck.reference_model(plants, period_s)
         limits = limit_row(settings)
@@ -178,7 +180,7 @@ class CheckWorker:
             walk = self._walks[batch.axis]
             crosscheck.check_periods(
                 model, batch.axis, period_s, batch.skipped, batch.command, batch.state, walk, limits,
-                settings.one_step_decimation, settings.interpolate_commands, check,
+                settings.one_step_decimation, stimulus[batch.axis], check,
             )  # fmt: skip
             self._deliver(batch, check, walk)
 

@@ -19,12 +19,13 @@ class Attachment:
 class CheckConfig:
     """What the online cross-check needs.
 
-    `axis_plants_path` is a pickle of one plant.step.AxisPlant with engine reference for each axis; it is deleted once read.
+    `plants_path` is a pickle of a list with one plant.step.AxisPlant with engine reference for each axis, and of the stimulus that takes
+    the place of the bus, float64[axis, tick], or None; it is deleted once read.
     Tolerances are absolute; NaN or None switches one off. `one_step_decimation` 1 checks every tick's own step, n every
     n-th; `record_decimation` likewise for the records written to /<axis>/check.
     """
 
-    axis_plants_path: str
+    plants_path: str
     initial_states: list[list[float]]  # per axis the STATE_SIZE floats of the state before the first tick
     pressure_tolerance_pa: float | None = None  # shadow trajectory, chambers 1 and 2
     position_tolerance_m: float | None = None
@@ -34,7 +35,6 @@ class CheckConfig:
     sustained_pressure_tolerance_pa: float | None = None  # the free run's errors, mean of the last second
     one_step_decimation: int = 1
     record_decimation: int = 1
-    interpolate_commands: bool = False  # a stimulus drives the run: its command moves on in skipped periods
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,8 @@ the short transients of spools without mass have gone). Outside the loop, compil
 
 Assumptions: the records are in order; `valve_command` and `load_scale` held for the tick's period. Of skipped periods only
 the last inputs are logged: between the tick before and this one the load scale, and a command that was ramping to neutral,
-and the command of a stimulus, are taken as linear; a command from the bus acts from the first skipped period on, as in
-the loop.
+are taken as linear; a command from the bus acts from the first skipped period on, as in the loop. The commands of a
+stimulus are known; where the logged ones on both sides are not the stimulus' own (a valve fault), they are linear too.
 Where ticks are missing from the ring the inputs are unknown: both trajectories restart from the surrogate's state (counted).
 """
 
@@ -91,12 +91,23 @@ def _logged_state(record, out):
 
 
 @hot
-def _advance_periods(model, axis, period_s, count, held, valve_command, load_scale, ramping, state):
-    """`count` periods that end with the inputs given; see the assumptions above."""
+def _is_stimulus(stimulus, tick, valve_command):
+    """Whether the logged command of a tick is what the stimulus says; before the first tick it says nothing."""
+    return stimulus.shape[0] > 0 and (tick < 0 or stimulus[min(tick, stimulus.shape[0] - 1)] == valve_command)
+
+
+@hot
+def _advance_periods(model, axis, period_s, tick, count, held, valve_command, load_scale, ramping, stimulus, state):
+    """`count` periods, the last of them `tick`, that end with the inputs given; see the assumptions above."""
+    known = count > 1 and _is_stimulus(stimulus, tick - count, held[0]) and _is_stimulus(stimulus, tick, valve_command)
     for k in range(1, count + 1):
         share = k / count
         scale = held[1] + (load_scale - held[1]) * share
-        valve = held[0] + (valve_command - held[0]) * share if ramping else valve_command
+        valve = valve_command
+        if known:
+            valve = stimulus[min(tick - count + k, stimulus.shape[0] - 1)]
+        elif ramping or stimulus.shape[0] > 0:
+            valve = held[0] + (valve_command - held[0]) * share
         advance_reference(model, axis, min(max(valve, -1.0), 1.0), scale, period_s, state)
 
 
@@ -176,7 +187,7 @@ def _judge_sustained(walk, tick, surrogate, passed_s, limits):
 
 
 @entry
-def check_periods(model, axis, period_s, skipped, command, state, walk, limits, one_step_every, interpolate, check):
+def check_periods(model, axis, period_s, skipped, command, state, walk, limits, one_step_every, stimulus, check):
     """Step the reference through n logged ticks of one axis.
 
     Args:
@@ -188,7 +199,8 @@ def check_periods(model, axis, period_s, skipped, command, state, walk, limits, 
         walk: Walk, read and written.
         limits: (ROW_COUNT,) float64, largest errors allowed (inf: not watched), rows as in Walk.accumulated.
         one_step_every: the one-step error is computed at ticks divisible by it.
-        interpolate: take the command as linear over skipped periods (a stimulus), not as held.
+        stimulus: (m,) float64, valve commands by tick in place of the bus, the last one held; NaN where they are not known.
+            Empty: frames commanded.
         check: (n,) CHECK records, written; `lag_ns` is left to the caller.
 
     Returns:
@@ -211,15 +223,19 @@ def check_periods(model, axis, period_s, skipped, command, state, walk, limits, 
             valve, scale = command[i]["valve_command"], state[i]["load_scale"]
             if walk.number[WALK_STARTED] == 0:
                 walk.held[0], walk.held[1] = valve, scale
-            ramping = interpolate or command[i]["mode"] == status.MODE_STALE_RAMP
-            _advance_periods(model, axis, period_s, count, walk.held, valve, scale, ramping, walk.shadow)
+            ramping = command[i]["mode"] == status.MODE_STALE_RAMP
+            _advance_periods(
+                model, axis, period_s, tick, count, walk.held, valve, scale, ramping, stimulus, walk.shadow
+            )
             out = _judge(walk, tick, walk.shadow, surrogate, 0, limits)
             out = _judge_sustained(walk, tick, surrogate, count * period_s, limits) or out
             with_one_step = tick % one_step_every == 0
             if with_one_step:
                 for k in range(state_layout.STATE_SIZE):
                     walk.one_step[k] = walk.previous[k]
-                _advance_periods(model, axis, period_s, count, walk.held, valve, scale, ramping, walk.one_step)
+                _advance_periods(
+                    model, axis, period_s, tick, count, walk.held, valve, scale, ramping, stimulus, walk.one_step
+                )
                 out = _judge(walk, tick, walk.one_step, surrogate, QUANTITY_COUNT, limits) or out
             if out:
                 record["flags"] = FLAG_OUT_OF_TOLERANCE

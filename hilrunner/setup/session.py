@@ -293,15 +293,16 @@ class Session:
         handle, path = tempfile.mkstemp(prefix="hilrunner-check-", suffix=".pickle")
         self._plants_path = Path(path)
         with os.fdopen(handle, "wb") as file:
-            pickle.dump(reference_plants(self.loaded), file)
+            stimulus = self.options.stimulus
+            by_axis = None if stimulus is None else np.ascontiguousarray(stimulus.T, np.float64)
+            pickle.dump((reference_plants(self.loaded), by_axis), file)
         return CheckConfig(
-            axis_plants_path=path,
+            plants_path=path,
             initial_states=self.axes.initial_states.tolist(),
             pressure_tolerance_pa=rules.pressure_tolerance_mpa * PA_PER_MPA,
             position_tolerance_m=rules.position_tolerance_mm * M_PER_MM,
             one_step_pressure_tolerance_pa=rules.one_step_pressure_tolerance_mpa * PA_PER_MPA,
             sustained_pressure_tolerance_pa=rules.sustained_pressure_tolerance_mpa * PA_PER_MPA,
             one_step_decimation=rules.every_n_ticks,
-            interpolate_commands=self.options.stimulus is not None,
             record_decimation=rules.every_n_ticks,
         )

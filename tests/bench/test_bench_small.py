@@ -25,7 +25,11 @@ def test_loop_part(capsys):
     assert {"tick", "tick, spin tail"} <= set(lateness)
     assert ("cyclictest" in lateness) == (cyclictest.program() is not None)
     execution = found["tables"]["execution"]
-    assert [row["phase"] for row in execution["rows"]][-1] == "execution"
+    assert [row["phase"] for row in execution["rows"]][-3:] == [
+        "execution",
+        "execution, no rehearsal",
+        "execution, spin tail",
+    ]
     assert execution["ticks"] >= 100 + 1
     phases = {row["phase"]: row["p50 us"] for row in execution["rows"]}
     assert 0 < phases["step"] < phases["execution"]

@@ -22,7 +22,7 @@ def run(tmp_path_factory):
     begin = check_plant.start_state(axis)
     # into the cache on disk first: the recorder waits a limited time for its check
     path = tmp_path_factory.mktemp("warm") / "plants.pickle"
-    path.write_bytes(pickle.dumps([axis]))
+    path.write_bytes(pickle.dumps(([axis], None)))
     assert CheckWorker(CheckConfig(str(path), [begin.tolist()]), ["axis_1"], 1_000_000).finish(500.0)
     commands = 0.5 * np.sin(np.arange(COUNT) * 0.01)
     return axis, begin, commands, check_plant.run_reference(axis, commands, np.ones(COUNT), begin)
@@ -48,7 +48,7 @@ class PlantProducer(Producer):
 def record_run(tmp_path, run, states):
     axis, begin, commands, _ = run
     path = tmp_path / "plants.pickle"
-    path.write_bytes(pickle.dumps([axis]))
+    path.write_bytes(pickle.dumps(([axis], None)))
     check = CheckConfig(str(path), [begin.tolist()], pressure_tolerance_pa=20e3, position_tolerance_m=1e-4)
     block, producer, handle = start(tmp_path / "a.mcap", ring_shape(tick_capacity=2048), check=check)
     handle.wait_ready(60)

@@ -280,7 +280,7 @@ def checked(plants, states, out):
     walk, check = crosscheck.new_walk(states[0]), np.zeros(count, records.CHECK)
     limits = np.full(crosscheck.ROW_COUNT, 1e-9)
     skipped = np.zeros(count, np.int64)
-    crosscheck.check_periods(model, 0, 1e-3, skipped, command, logged, walk, limits, 1, False, check)
+    crosscheck.check_periods(model, 0, 1e-3, skipped, command, logged, walk, limits, 1, np.zeros(0), check)
     for field in records.CHECK.names[2:]:
         out[f"check {field}"] = check[field]
 

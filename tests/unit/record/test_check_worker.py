@@ -28,7 +28,7 @@ def run():
 def worker(tmp_path, run, **settings):
     axis, start, *_ = run
     path = tmp_path / "plants.pickle"
-    path.write_bytes(pickle.dumps([axis, axis]))
+    path.write_bytes(pickle.dumps(([axis, axis], None)))
     made = CheckConfig(str(path), [start.tolist(), start.tolist()], **settings)
     return check_worker.CheckWorker(made, ["boom", "jib"], PERIOD_NS)
 

@@ -1,5 +1,7 @@
 """The check's arithmetic: what it calls an error, where it restarts, what it does with gaps."""
 
+import math
+
 import check_plant
 import numpy as np
 import pytest
@@ -38,7 +40,7 @@ def check(
     one_step_every=1,
     batches=(10**9,),
     walk=None,
-    interpolate=False,
+    stimulus=(),
 ):
     _, model, start = bench
     walk = walk or crosscheck.new_walk(start)
@@ -48,7 +50,8 @@ def check(
     for size in batches:
         part = slice(first, first + size)
         crosscheck.check_periods(
-            model, 0, check_plant.PERIOD_S, skipped[part], command[part], state[part], walk, limits, one_step_every, interpolate,
+            model, 0, check_plant.PERIOD_S, skipped[part], command[part], state[part], walk, limits, one_step_every,
+            np.array(stimulus, float),
             out[part],
         )  # fmt: skip
         first += size
@@ -119,10 +122,29 @@ def test_a_command_that_ramps_to_neutral_ramps_in_skipped_periods_too(bench, sta
     out, _ = check(bench, command, state, np.where(kept == 33, 3, 0))
     assert abs(out["one_step_chamber_1_pressure_error_pa"]).max() < 1e-6
     command["mode"] = status.MODE_ACTIVE
-    stimulus, _ = check(bench, command, state, np.where(kept == 33, 3, 0), interpolate=True)
-    assert stimulus.tobytes() == out.tobytes()
+    unknown, _ = check(bench, command, state, np.where(kept == 33, 3, 0), stimulus=[math.nan])
+    assert unknown.tobytes() == out.tobytes()
     held, _ = check(bench, command, state, np.where(kept == 33, 3, 0))
     assert abs(held["one_step_chamber_1_pressure_error_pa"]).max() > 100.0
+
+
+def test_a_stimulus_is_known_in_skipped_periods_unless_a_valve_fault_acts(bench, states):
+    axis, _, start = bench
+    commands = COMMANDS.copy()
+    commands[29:34] = [0.0, 0.9, 0.1, 0.6, 0.2]  # nothing like a straight line
+    ones = np.ones(COUNT)
+    truth = check_plant.run_reference(axis, commands, ones, start)
+    kept = np.delete(TICKS, [30, 31, 32])
+    command, state = check_plant.as_records(kept, commands[kept], ones[kept], truth[kept])
+    skipped = np.where(kept == 33, 3, 0)
+    out, _ = check(bench, command, state, skipped, stimulus=commands)
+    assert abs(out["one_step_chamber_1_pressure_error_pa"]).max() < 1e-6
+    faulty = commands.copy()
+    faulty[33] += 0.1  # what the log says is not the stimulus: a fault stood between
+    linear, _ = check(bench, command, state, skipped, stimulus=faulty)
+    unknown, _ = check(bench, command, state, skipped, stimulus=[math.nan])
+    assert linear.tobytes() == unknown.tobytes()
+    assert abs(linear["one_step_chamber_1_pressure_error_pa"]).max() > 100.0
 
 
 def test_missing_ticks_restart_the_check_and_are_marked(bench, states):
