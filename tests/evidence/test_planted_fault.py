@@ -17,6 +17,7 @@ from hilrunner.setup.profile import load_profile
 
 FACTOR = 1.01
 HARD_COMMANDS = Path(__file__).parent / "hard_commands.csv"
+CHATTERING_COMMANDS = Path(__file__).parent / "chattering_commands.csv"
 DURATION_S = 4.0
 
 
@@ -79,6 +80,17 @@ def test_the_hardest_commands_are_no_fault(tmp_path):
         assert 0.5 * allowed_mpa < largest_mpa < allowed_mpa, (
             "a tolerance far from what healthy networks need hides faults"
         )
+
+
+def test_a_command_that_chatters_leaves_the_tolerances(tmp_path):
+    """Full steps some hundredths of a second apart are beyond spools without mass: the check says so, healthy as the networks are."""
+    code, summary = hilrunner(
+        tmp_path, "run", "--stimulus", str(CHATTERING_COMMANDS), "--duration", "2", "--log", "run.mcap",
+    )  # fmt: skip
+    assert code == exit_codes.CROSS_CHECK_FAILED, summary
+    found = summary["recorder"]["check"]["luffing"]
+    assert 0.003 < found["chamber_2_pressure_error_pa_max"] * 1e-6 < 0.005
+    assert any("chamber 2 pressure of the free run" in event.text for event in read_run(tmp_path / "run.mcap").events)
 
 
 @pytest.mark.parametrize("tensor, schedule", [("supply.weight_3", "full-lower"), ("supply.bias_3", "full-lower")])

@@ -30,13 +30,15 @@ AGEING_MS = {
     "hold_for_ms": 100.0,
     "ramp_for_ms": 200.0,
 }  # no pause of a busy host is a lost firmware
+# and a pause of a busy host makes the firmware command violently, which surrogates without spool mass follow less exactly
+TOLERANCES_MPA = {"pressure_tolerance_mpa": 0.03, "sustained_pressure_tolerance_mpa": 0.015}
 FIRMWARE = Path(__file__).resolve().parents[2] / "firmware_iface" / "c" / "build" / "reference_firmware"
 
 
 def patient_profile(folder: Path) -> Path:
-    """The shipped profile with slower ageing of commands, written into a folder."""
+    """The shipped profile with slower ageing of commands and wider tolerances, written into a folder."""
     text = load_profile(PROFILE).text
-    for key, value in AGEING_MS.items():
+    for key, value in (AGEING_MS | TOLERANCES_MPA).items():
         text, count = re.subn(rf"(?m)^{key} = .*$", f"{key} = {value}", text)
         assert count == 1, key
     path = folder / f"{PROFILE}.toml"

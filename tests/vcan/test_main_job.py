@@ -41,7 +41,7 @@ def closed_loop(firmware_built, tmp_path_factory):
 
 def test_the_run_ends_as_planned(closed_loop):
     code, summary, run, _, _ = closed_loop
-    assert code == exit_codes.PASSED, summary
+    assert code == exit_codes.PASSED, f"{summary} {[event.text for event in run.events]}"
     assert summary["exit_reason"] == run.metadata["run"]["exit_reason"] == "duration reached"
     assert summary["tick_count"] + summary["skipped_count"] >= DURATION_S * 1000 / PERIOD_MS - 1
 
