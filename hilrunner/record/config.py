@@ -32,7 +32,7 @@ class CheckConfig:
     velocity_tolerance_mps: float | None = None
     one_step_pressure_tolerance_pa: float | None = None
     one_step_position_tolerance_m: float | None = None
-    sustained_pressure_tolerance_pa: float | None = None  # the free run's errors, mean of the last second
+    sustained_pressure_tolerance_pa: float | None = None  # the free run's errors, mean of a second of open valve
     one_step_decimation: int = 1
     record_decimation: int = 1
 

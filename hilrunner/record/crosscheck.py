@@ -1,8 +1,9 @@
 """How wrong the plant of this run is: the first-principle model stepped from the commands the surrogate got.
 
 Three errors per tick: of a shadow trajectory that runs free from the same start (what has accumulated), of one period from
-the surrogate's own last state (what this period added), and the first one's mean over the last second (what stays when
-the short transients of spools without mass have gone). Outside the loop, compiled, a batch of ticks at a time.
+the surrogate's own last state (what this period added), and the first one's mean over the last second of an open valve (what
+stays when the short transients of spools without mass have gone; oil trapped by a shut valve only keeps the error of the
+moment it was shut). Outside the loop, compiled, a batch of ticks at a time.
 
 Assumptions: the records are in order; `valve_command` and `load_scale` held for the tick's period. Of skipped periods only
 the last inputs are logged: between the tick before and this one the load scale, and a command that was ramping to neutral,
@@ -228,7 +229,8 @@ def check_periods(model, axis, period_s, skipped, command, state, walk, limits, 
                 model, axis, period_s, tick, count, walk.held, valve, scale, ramping, stimulus, walk.shadow
             )
             out = _judge(walk, tick, walk.shadow, surrogate, 0, limits)
-            out = _judge_sustained(walk, tick, surrogate, count * period_s, limits) or out
+            if valve != 0.0:  # else trapped oil would weigh one moment's error again and again
+                out = _judge_sustained(walk, tick, surrogate, count * period_s, limits) or out
             with_one_step = tick % one_step_every == 0
             if with_one_step:
                 for k in range(state_layout.STATE_SIZE):

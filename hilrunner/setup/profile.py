@@ -116,7 +116,7 @@ class CrossCheck(Struct, forbid_unknown_fields=True, frozen=True):
     pressure_tolerance_mpa: Positive = 0.02
     position_tolerance_mm: Positive = 0.1
     one_step_pressure_tolerance_mpa: Positive = 0.01
-    sustained_pressure_tolerance_mpa: Positive = 0.01  # of the error's mean over the last second
+    sustained_pressure_tolerance_mpa: Positive = 0.01  # of the error's mean over the last second of an open valve
 
 
 class FaultCondition(Struct, forbid_unknown_fields=True, frozen=True):

@@ -16,8 +16,7 @@ from hilrunner.setup import resources
 from hilrunner.setup.profile import load_profile
 
 FACTOR = 1.01
-HARD_COMMANDS = Path(__file__).parent / "hard_commands.csv"
-CHATTERING_COMMANDS = Path(__file__).parent / "chattering_commands.csv"
+HERE = Path(__file__).parent
 DURATION_S = 4.0
 
 
@@ -64,33 +63,36 @@ def test_the_same_file_without_a_fault_passes(tmp_path):
     assert not (run.check["luffing"]["flags"] & 1).any()
 
 
-def test_the_hardest_commands_are_no_fault(tmp_path):
-    """Full reversals and stops within one period: what missing spool mass costs stays within the tolerances."""
+def largest_mpa(summary: dict, kind: str) -> float:
+    """Of both chambers: the largest error of the free run (""), or of its mean ("sustained_")."""
+    found = summary["recorder"]["check"]["luffing"]
+    return max(found[f"{kind}chamber_{number}_pressure_error_pa_max"] for number in (1, 2)) * 1e-6
+
+
+@pytest.mark.parametrize(
+    "commands, duration_s, peak_share, sustained_share",
+    [("hard_commands.csv", 9.9, 0.2, 0.05), ("chattering_commands.csv", 16.0, 0.35, 0.65)],
+)
+def test_the_hardest_commands_are_no_fault(tmp_path, commands, duration_s, peak_share, sustained_share):
+    """What missing spool mass costs stays within the tolerances, and these are not far above it: that would hide faults."""
     code, summary = hilrunner(
-        tmp_path, "run", "--stimulus", str(HARD_COMMANDS), "--duration", "9.9", "--log", "run.mcap",
+        tmp_path, "run", "--stimulus", str(HERE / commands), "--duration", str(duration_s), "--log", "run.mcap",
     )  # fmt: skip
     assert code == exit_codes.PASSED, summary
-    found = summary["recorder"]["check"]["luffing"]
     rules = load_profile("amc-lift").profile.crosscheck
-    for kind, allowed_mpa in (
-        ("", rules.pressure_tolerance_mpa),
-        ("sustained_", rules.sustained_pressure_tolerance_mpa),
-    ):
-        largest_mpa = max(found[f"{kind}chamber_{number}_pressure_error_pa_max"] for number in (1, 2)) * 1e-6
-        assert 0.5 * allowed_mpa < largest_mpa < allowed_mpa, (
-            "a tolerance far from what healthy networks need hides faults"
-        )
+    assert largest_mpa(summary, "") > peak_share * rules.pressure_tolerance_mpa
+    assert largest_mpa(summary, "sustained_") > sustained_share * rules.sustained_pressure_tolerance_mpa
 
 
-def test_a_command_that_chatters_leaves_the_tolerances(tmp_path):
-    """Full steps some hundredths of a second apart are beyond spools without mass: the check says so, healthy as the networks are."""
-    code, summary = hilrunner(
-        tmp_path, "run", "--stimulus", str(CHATTERING_COMMANDS), "--duration", "2", "--log", "run.mcap",
-    )  # fmt: skip
-    assert code == exit_codes.CROSS_CHECK_FAILED, summary
-    found = summary["recorder"]["check"]["luffing"]
-    assert 0.003 < found["chamber_2_pressure_error_pa_max"] * 1e-6 < 0.005
-    assert any("chamber 2 pressure of the free run" in event.text for event in read_run(tmp_path / "run.mcap").events)
+def test_oil_trapped_by_a_stop_is_no_lasting_error(tmp_path):
+    """A stop from sinking keeps the error of its moment in the shut chambers; the mean of an open valve does not see it."""
+    stop = tmp_path / "stop.csv"
+    stop.write_text("time_s,valve_command\n0,-0.19\n1,-0.19\n1.001,0\n4,0\n")
+    code, summary = hilrunner(tmp_path, "run", "--stimulus", str(stop), "--duration", "4", "--log", "run.mcap")
+    assert code == exit_codes.PASSED, summary
+    check = read_run(tmp_path / "run.mcap").check["luffing"]
+    trapped_mpa = np.abs(check["chamber_2_pressure_error_pa"][-500:]).min() * 1e-6
+    assert trapped_mpa > 2 * largest_mpa(summary, "sustained_"), "else this says nothing"
 
 
 @pytest.mark.parametrize("tensor, schedule", [("supply.weight_3", "full-lower"), ("supply.bias_3", "full-lower")])
