@@ -2,9 +2,11 @@
 
 A core that has waited most of a millisecond runs the same code up to half as fast again: its caches, branch predictors and address
 translations have gone to others. So the tick to come is received (peeked), decoded, stepped and encoded on copies of the
-state, and the result is thrown away. Nothing is sent, counted or logged, and the period itself starts from the state it would have
+state, and the result is thrown away. Nothing is sent, counted or logged (but a bus found gone), and the period itself starts from the state it would have
 started from: a run with and without rehearsal gives the same bits. `waiting` chooses the moment.
 """
+
+import numpy as np
 
 from hilrunner.base.compiled import hot
 from hilrunner.realtime.cycle import decode_stage, encode_stage, step_stage
@@ -38,11 +40,13 @@ def rehearse(bench, shadow, descriptor, tick):
     """Run the tick to come on the shadow.
 
     Args:
-        bench: handle of the Bench, read. shadow: handle of `rehearsal_of` it, written. descriptor: as run_loop's.
+        bench: handle of the Bench, read, but for the error of its bus. shadow: handle of `rehearsal_of` it, written. descriptor: as run_loop's.
     """
     _follow(bench, shadow)
-    waiting = peek_frame(descriptor, shadow.inbox) if descriptor >= 0 else 0
-    decode_stage(shadow, tick, max(waiting, 0))  # a bus that is gone is found by the tick itself
+    waiting = np.int64(peek_frame(descriptor, shadow.inbox)) if descriptor >= 0 else np.int64(0)
+    if waiting < 0:  # the kernel tells of a bus that is gone once, and to whoever asks first
+        bench.progress[0]["bus_errno"] = -waiting
+    decode_stage(shadow, tick, max(waiting, 0))
     step_stage(shadow, tick, 1)
     encode_stage(shadow, tick)
 

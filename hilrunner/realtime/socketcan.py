@@ -103,14 +103,16 @@ def receive_frames(descriptor, box):
 
 @hot
 def peek_frame(descriptor, box):
-    """The oldest waiting frame into the first place of the mailbox, left in the queue: 1, or 0 when there is none."""
+    """The oldest waiting frame into the first place of the mailbox, left in the queue: 1, 0 when there is none, or -errno."""
     got = np.int64(
         _recvmmsg(np.int32(descriptor), box.message.ctypes, np.uint32(1), np.int32(MSG_DONTWAIT | MSG_PEEK), 0)
     )
-    if got < 1:
-        return 0
-    _take_message(box, 0)
-    return 1
+    if got < 0:
+        error = last_errno()
+        return 0 if error == EAGAIN or error == EINTR else -error
+    if got > 0:
+        _take_message(box, 0)
+    return got
 
 
 @hot

@@ -1,5 +1,6 @@
 """A rehearsal leaves no trace: the same bits with and without it, no frame taken, nothing counted."""
 
+import errno
 import socket
 import struct
 import time
@@ -7,9 +8,10 @@ import time
 import numpy as np
 import pytest
 
+from hilrunner.base import compiled, status
 from hilrunner.base import ring as ring_layout
-from hilrunner.base import status
 from hilrunner.realtime import loop, rehearsal
+from hilrunner.realtime.handle import handle
 from hilrunner.setup import arm as arming
 from hilrunner.setup import axes as axis_setup
 from hilrunner.setup.profile import load_profile
@@ -88,6 +90,25 @@ def test_a_run_with_rehearsals_gives_the_same_bits(parts):
     assert without["received"] == 1 and without["ticks"] == TICKS
     assert with_them == without
     assert len(without["sent"]) > TICKS
+
+
+@compiled.numba.njit
+def rehearse_once(bench, shadow, descriptor):
+    rehearsal.rehearse(handle(bench), handle(shadow), descriptor, 0)
+
+
+def test_an_error_of_the_bus_met_by_the_rehearsal_is_not_lost(parts):
+    """The kernel gives a pending error away with the first call: the tick after it would see a quiet bus."""
+    loaded, axes = parts
+    armed = arming.arm(loaded, axes, arming.local_ring(arming.ring_shape(loaded, seconds=0.2)), record=True)
+    ours, peer = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    rehearse_once(armed.bench, rehearsal.rehearsal_of(armed.bench), ours.fileno())
+    assert armed.bench.progress[0]["bus_errno"] == 0, "nothing waits: no error"
+    ours.send(b"unread")
+    peer.close()
+    rehearse_once(armed.bench, rehearsal.rehearsal_of(armed.bench), ours.fileno())
+    assert armed.bench.progress[0]["bus_errno"] == errno.ECONNRESET
+    ours.close()
 
 
 def test_the_shadow_owns_everything_a_period_writes(parts):
