@@ -44,9 +44,12 @@ sys.meta_path.insert(0, Moment())
 def signalled(before: str, words: list, folder: Path, number=signal.SIGINT, ignored=False):
     """A command with a moment put in front of it, as a process of its own."""
     program = PROGRAM.format(before=before, number=int(number))
-    settings = {"preexec_fn": lambda: signal.signal(number, signal.SIG_IGN)} if ignored else {}
-    command = [sys.executable, "-c", program, *words]
-    return subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=200, **settings)
+    # told each time: whoever started the tests in the background may have it ignored
+    handler = signal.SIG_IGN if ignored else signal.SIG_DFL
+    return subprocess.run(
+        [sys.executable, "-c", program, *words], capture_output=True, text=True, cwd=folder, timeout=200,
+        preexec_fn=lambda: signal.signal(number, handler),
+    )  # fmt: skip
 
 
 def quiet(done) -> bool:

@@ -283,6 +283,11 @@ def checked(plants, states, out):
     crosscheck.check_periods(model, 0, 1e-3, skipped, command, logged, walk, limits, 1, np.zeros(0), check)
     for field in records.CHECK.names[2:]:
         out[f"check {field}"] = check[field]
+    walk, known = crosscheck.new_walk(states[0]), np.zeros(count, records.CHECK)
+    skipped[2] = 2
+    stimulus = np.full(4, 0.25)  # the last one is held
+    crosscheck.check_periods(model, 0, 1e-3, skipped, command, logged, walk, limits, 1, stimulus, known)
+    out["check with a stimulus"] = known["chamber_1_pressure_error_pa"]
 
 
 def axis_sets(folder):

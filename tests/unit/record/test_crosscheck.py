@@ -65,7 +65,9 @@ def test_the_reference_against_itself_is_exact(bench, states):
     for name in ERROR_FIELDS:
         assert (out[name] == 0.0).all(), name
     assert (out["reference_chamber_1_pressure_pa"] == states[:, 2]).all()
-    assert (walk.accumulated[:, crosscheck.SUM_COUNT] == COUNT).all()
+    every_tick, open_valve = slice(0, 2 * crosscheck.QUANTITY_COUNT), slice(2 * crosscheck.QUANTITY_COUNT, None)
+    assert (walk.accumulated[every_tick, crosscheck.SUM_COUNT] == COUNT).all()
+    assert (walk.accumulated[open_valve, crosscheck.SUM_COUNT] == np.count_nonzero(COMMANDS)).all()
 
 
 def test_a_disturbed_tick_is_an_error_of_that_step_and_of_the_free_run(bench, states):
@@ -185,15 +187,18 @@ def test_each_error_has_a_limit_of_its_own(bench, states, row, name):
 
 @pytest.mark.parametrize("gaps", [(), (20, 21, 22, 40)])
 def test_the_sustained_error_is_the_mean_of_the_last_second(bench, states, gaps):
-    """A first-order lag, written the other way round; skipped periods count as the time they took."""
+    """A first-order lag, written the other way round; skipped periods count as the time they took, a shut valve not at all."""
     kept = np.array([tick for tick in TICKS if tick not in gaps])
     disturbed = states.copy()
     disturbed[:, 3] += 4000.0 * np.sin(0.7 * TICKS) + 1000.0
     skipped = np.diff(kept, prepend=-1) - 1
-    command, state = check_plant.as_records(kept, COMMANDS[kept], SCALES[kept], disturbed[kept])
+    commands = np.where((kept > 50) & (kept < 55), 0.0, COMMANDS[kept])
+    command, state = check_plant.as_records(kept, commands, SCALES[kept], disturbed[kept])
     out, walk = check(bench, command, state, skipped=skipped)
     mean, largest = 0.0, 0.0
-    for error, periods in zip(out["chamber_2_pressure_error_pa"], skipped + 1, strict=True):
+    for error, periods, valve in zip(out["chamber_2_pressure_error_pa"], skipped + 1, commands, strict=True):
+        if valve == 0.0:
+            continue
         mean = error + (mean - error) * np.exp(-periods * check_plant.PERIOD_S / crosscheck.SUSTAINED_S)
         largest = max(largest, abs(mean))
     assert walk.sustained[3] == pytest.approx(mean, rel=1e-9)
