@@ -136,6 +136,7 @@ def guest_run(job: dict, reports: int) -> int:
         power_off()  # nobody outside is left to give orders
 
     threading.Thread(target=obey, daemon=True).start()
+    threading.Thread(target=stay_awake, daemon=True).start()
     code = reap(child.pid)
     for writer, thread in ((out, out_pump), (err, err_pump)):
         if thread is not None:
@@ -144,6 +145,12 @@ def guest_run(job: dict, reports: int) -> int:
     for console in (out_console, err_console):
         termios.tcdrain(console)
     return code
+
+
+def stay_awake() -> None:
+    """An idle guest on a busy host can miss that its console has input, until its next timer: here is one."""
+    while True:
+        time.sleep(0.5)
 
 
 def reap(pid: int) -> int:

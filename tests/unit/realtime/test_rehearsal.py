@@ -8,10 +8,9 @@ import time
 import numpy as np
 import pytest
 
-from hilrunner.base import compiled, status
 from hilrunner.base import ring as ring_layout
+from hilrunner.base import status
 from hilrunner.realtime import loop, rehearsal
-from hilrunner.realtime.handle import handle
 from hilrunner.setup import arm as arming
 from hilrunner.setup import axes as axis_setup
 from hilrunner.setup.profile import load_profile
@@ -92,23 +91,30 @@ def test_a_run_with_rehearsals_gives_the_same_bits(parts):
     assert len(without["sent"]) > TICKS
 
 
-@compiled.numba.njit
-def rehearse_once(bench, shadow, descriptor):
-    rehearsal.rehearse(handle(bench), handle(shadow), descriptor, 0)
+SILENT = """
+[[fault]]
+kind = "measurement-lost"
+axis = "boom"
+at_s = 0.0
+"""
 
 
-def test_an_error_of_the_bus_met_by_the_rehearsal_is_not_lost(parts):
+def test_an_error_of_the_bus_met_by_the_rehearsal_is_not_lost(parts, tmp_path):
     """The kernel gives a pending error away with the first call: the tick after it would see a quiet bus."""
-    loaded, axes = parts
-    armed = arming.arm(loaded, axes, arming.local_ring(arming.ring_shape(loaded, seconds=0.2)), record=True)
+    path = tmp_path / "silent.toml"
+    path.write_text(PROFILE + SILENT)  # a bench that sends would learn it from sending
+    armed = arming.arm(
+        load_profile(str(path)), parts[1], arming.local_ring(arming.ring_shape(parts[0], seconds=0.2)),
+        record=True, spin_ns=1_500_000,
+    )  # fmt: skip
+    armed.bench.phase_ns[0] = 100_000  # as if a tick had run: what tells that there is room for a rehearsal
     ours, peer = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    rehearse_once(armed.bench, rehearsal.rehearsal_of(armed.bench), ours.fileno())
-    assert armed.bench.progress[0]["bus_errno"] == 0, "nothing waits: no error"
     ours.send(b"unread")
     peer.close()
-    rehearse_once(armed.bench, rehearsal.rehearsal_of(armed.bench), ours.fileno())
-    assert armed.bench.progress[0]["bus_errno"] == errno.ECONNRESET
+    reason = loop.run_loop(armed.bench, ours.fileno(), time.monotonic_ns() + 3_000_000, TICKS)
     ours.close()
+    assert armed.bench.progress[0]["rehearsal_ns"] > 0 and armed.bench.progress[0]["tick_count"] == 1
+    assert (reason, armed.bench.progress[0]["bus_errno"]) == (status.EXIT_CAN_LOST, errno.ECONNRESET)
 
 
 def test_the_shadow_owns_everything_a_period_writes(parts):
