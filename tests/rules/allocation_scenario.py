@@ -13,10 +13,13 @@ from numba.core.runtime import rtsys
 
 from hilrunner.base import compiled, status
 from hilrunner.realtime import loop
+from hilrunner.realtime.clock import WORD_SPIN_NS
 from hilrunner.setup import arm as arming
 from hilrunner.setup import axes as axis_setup
 from hilrunner.setup.profile import load_profile
 from tests.rules.interpreted_scenario import command_frame
+
+TRIES = (100,) * 20  # a busy host may leave no time for a rehearsal in the first of them
 
 
 @compiled.hot
@@ -55,9 +58,25 @@ def main():
                 peer.recv(128)
         except BlockingIOError:
             peer.setblocking(True)
+    found["ticks"] = int(armed.bench.progress[0]["tick_count"])
+    armed.bench.clock[WORD_SPIN_NS] = 900_000  # room for a rehearsal also where the wake-up is late
+    for tick_count in (*TRIES, 200, 400):  # on time, so that ticks are rehearsed
+        if tick_count == TRIES[0] and armed.bench.progress[0]["rehearsal_ns"] > 0:
+            continue
+        start_mono_ns = time.monotonic_ns() + 5_000_000
+        found[f"on time {tick_count}"] = allocations(
+            lambda count=tick_count, start=start_mono_ns: loop.run_loop(armed.bench, ours.fileno(), start, count)
+        )
+        peer.setblocking(False)
+        try:
+            while True:
+                peer.recv(128)
+        except BlockingIOError:
+            peer.setblocking(True)
+    found["ticks on time"] = int(armed.bench.progress[0]["tick_count"]) - found["ticks"]
+    found["rehearsal_ns"] = int(armed.bench.progress[0]["rehearsal_ns"])
     planted(1)
     found["planted 10"], found["planted 20"] = allocations(lambda: planted(10)), allocations(lambda: planted(20))
-    found["ticks"] = int(armed.bench.progress[0]["tick_count"])
     found["frames"] = int(armed.bench.progress[0]["frames_received"])
     found["misses"] = int(armed.bench.progress[0]["miss_count"])
     print(json.dumps(found))

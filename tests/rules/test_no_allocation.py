@@ -20,7 +20,9 @@ def test_the_loop_allocates_nothing_per_tick(engine):
     )
     assert done.returncode == 0, done.stderr[-4000:]
     found = json.loads(done.stdout.splitlines()[-1])
-    assert found["ticks"] == 800
+    assert found["ticks"] == 800 and found["ticks on time"] >= 600
     assert found["frames"] == 48
     assert found["400"] == found["200"]
+    assert found["on time 400"] == found["on time 200"]
+    assert found["rehearsal_ns"] > 0
     assert found["planted 20"] - found["planted 10"] == 10, "the counter would not see an allocation"
