@@ -38,6 +38,16 @@ def allocations(call):
     return rtsys.get_allocation_stats().alloc - before
 
 
+def drain(peer):
+    """Take what the bench sent."""
+    peer.setblocking(False)
+    try:
+        while True:
+            peer.recv(128)
+    except BlockingIOError:
+        peer.setblocking(True)
+
+
 def main():
     """Loops of 200 and 400 ticks on one armed bench, and the planted fault."""
     loaded = load_profile("amc-lift")
@@ -52,12 +62,7 @@ def main():
         found[str(tick_count)] = allocations(
             lambda count=tick_count: loop.run_loop(armed.bench, ours.fileno(), time.monotonic_ns(), count)
         )
-        peer.setblocking(False)
-        try:
-            while True:
-                peer.recv(128)
-        except BlockingIOError:
-            peer.setblocking(True)
+        drain(peer)
     found["ticks"] = int(armed.bench.progress[0]["tick_count"])
     armed.bench.clock[WORD_SPIN_NS] = 900_000  # room for a rehearsal also where the wake-up is late
     for tick_count in (*TRIES, 200, 400):  # on time, so that ticks are rehearsed
@@ -67,12 +72,7 @@ def main():
         found[f"on time {tick_count}"] = allocations(
             lambda count=tick_count, start=start_mono_ns: loop.run_loop(armed.bench, ours.fileno(), start, count)
         )
-        peer.setblocking(False)
-        try:
-            while True:
-                peer.recv(128)
-        except BlockingIOError:
-            peer.setblocking(True)
+        drain(peer)
     found["ticks on time"] = int(armed.bench.progress[0]["tick_count"]) - found["ticks"]
     found["rehearsal_ns"] = int(armed.bench.progress[0]["rehearsal_ns"])
     planted(1)
