@@ -31,6 +31,9 @@ EXIT_CODES = """exit codes:
   2 usage or bad input          3 deadline budget exceeded
   4 CAN lost                    5 cross-check out of tolerance
   6 real-time set-up refused under --require-realtime
+  7 damaged: parts of a log do not match their own checksums
+  8 the bench failed: the host stalled longer than the profile allows
+  (several may hold: all are told, and the code is the first of 7, 4, 8, 3, 5, 1)
   130 interrupted before there was a result (a run that has begun ends with the code of its verdict)
   141 the reader of the output has gone, as in `| head` (a run goes on and ends with the code of its verdict)"""
 
