@@ -5,6 +5,7 @@ chunks are unpacked into a batch, so that Python works per batch and not per mes
 """
 
 import struct
+import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,13 +15,16 @@ import numpy as np
 from hilrunner.base.errors import LogError
 from hilrunner.evidence import mcap_walk
 from hilrunner.evidence.chunk import read_chunk
+from hilrunner.evidence.damaged import DamagedLogError
+from hilrunner.evidence.mcap_ending import MAGIC, check_ending, looks_ended
 from hilrunner.evidence.mcap_window import Window
+from hilrunner.record import seal
 
-MAGIC = b"\x89MCAP0\r\n"
 BATCH_BYTES = 8 << 20
 BATCH_MESSAGES = 1 << 17
 _DAMAGE_NOTES_MAX = 20
-_TOP_LEVEL = frozenset(range(0x01, 0x10))  # opcodes of the format
+_TOP_LEVEL = frozenset((*range(0x01, 0x10), seal.OPCODE))  # opcodes of the format, and our own
+_DATA_END_BYTES = mcap_walk.RECORD_HEADER_BYTES + 4
 _U64 = struct.Struct("<Q")
 
 
@@ -36,12 +40,24 @@ class Contents:
     finished: bool = False
     damage: list[str] = field(default_factory=list)
     damage_count: int = 0
+    mismatches: list[str] = field(default_factory=list)
+
+    @property
+    def is_own(self) -> bool:
+        """Written by this program, which leaves no checksum out."""
+        return self.library.startswith("hilrunner")
 
     def note(self, text: str) -> None:
-        """Remember a damage; the first ones word by word, the rest as a count."""
+        """Remember what is missing; the first ones word by word, the rest as a count."""
         self.damage_count += 1
         if len(self.damage) < _DAMAGE_NOTES_MAX:
             self.damage.append(text)
+
+    def harm(self, text: str) -> None:
+        """Remember a part that is not what was written: unlike one that was cut off, it can have changed what is read."""
+        self.note(text)
+        if len(self.mismatches) < _DAMAGE_NOTES_MAX:
+            self.mismatches.append(text)
 
 
 Batch = Callable[[np.ndarray, np.ndarray], None]  # (buffer u1, messages MESSAGE)
@@ -67,6 +83,7 @@ class Scanner:
         self._batch = np.empty(BATCH_BYTES, np.uint8)
         self._batch_size = 0
         self._window: Window | None = None
+        self._ended = False  # the file has an end: what does not parse before it is damage, not a cut
         self._segments: list[tuple[int, int, int]] = []  # start, end in the batch; offset of the chunk in the file
 
     def run(self) -> Contents:
@@ -93,6 +110,8 @@ class Scanner:
                 str(self.path), "empty file (0 bytes)", "an MCAP log", "the run wrote nothing: look at its messages"
             )
         if head != MAGIC:
+            if looks_ended(Window(file, 0)):
+                raise DamagedLogError(str(self.path), f"damaged: it ends as a log, and begins with {head!r}")
             kind = f"cut off after {len(head)} bytes" if MAGIC.startswith(head) else f"begins with {head!r}"
             raise LogError(
                 str(self.path), f"not an MCAP file: {kind}", f"a file that begins with {MAGIC!r}", "name a log"
@@ -100,6 +119,7 @@ class Scanner:
 
     def _scan(self, file) -> None:
         window = self._window = Window(file, len(MAGIC))
+        self._ended = looks_ended(window)
         while window.remaining:
             place = window.file_offset
             buffer, start, end, size = window.view_record()
@@ -114,19 +134,27 @@ class Scanner:
                     window.consume(stop - start)
                 elif not self._skip_damage(window, place):
                     break
-            elif opcode == 0:
+            elif opcode == 0 or (opcode == mcap_walk.OPCODE_DATA_END and size != _DATA_END_BYTES):
                 if not self._skip_damage(window, place):
                     break
             else:
                 content = memoryview(buffer)[start + mcap_walk.RECORD_HEADER_BYTES : start + size]
                 self._take_record(opcode, content, False, place)
-                window.consume(size)
                 if opcode == mcap_walk.OPCODE_DATA_END:
+                    (stored,) = struct.unpack("<I", content)
+                    check_ending(self.contents, window, stored, window.crc, place + size)
                     break
+                window.consume(size)
         if not self.contents.finished:
-            self.contents.note(f"not finished: the file ends at byte {window.size} without its end mark")
-        elif not window.ends_with(MAGIC):
-            self.contents.note("the summary at the end is cut off; the data before it is whole")
+            told = f"not finished: the file ends at byte {window.size} without its end mark"
+            self._note_end(told, f"damaged: the file has an end mark at byte {window.size}, but its data has no end")
+
+    def _note_end(self, lacking: str, harmed: str) -> None:
+        """What a missing end means: the writer was stopped, or (where the file was ended) its records are damaged."""
+        if self._ended:
+            self.contents.harm(harmed)
+        else:
+            self.contents.note(lacking)
 
     def _take_messages(self, buffer: np.ndarray, start: int, end: int) -> int:
         """Top-level messages, handed over at once; returns the position after them."""
@@ -139,14 +167,22 @@ class Scanner:
     def _take_cut(self, buffer: np.ndarray, start: int, end: int, place: int) -> None:
         """What a record without its end still gives."""
         if int(buffer[start]) not in _TOP_LEVEL:
-            self.contents.note(f"damaged at byte {place}: no record begins there")
+            self.contents.harm(f"damaged at byte {place}: no record begins there")
             return
         content = memoryview(buffer)[min(start + mcap_walk.RECORD_HEADER_BYTES, end) : end]
-        self.contents.note(f"cut off at byte {place + end - start}, inside a record that begins at byte {place}")
+        self._note_end(
+            f"cut off at byte {place + end - start}, inside a record that begins at byte {place}",
+            f"damaged: the record at byte {place} claims to reach past the end of the file",
+        )
         self._take_record(int(buffer[start]), content, True, place)
 
     def _skip_damage(self, window: "Window", place: int) -> bool:
-        self.contents.note(f"damaged at byte {place}: no record begins there")
+        if not self._ended and window.rest_is_zero():
+            self.contents.note(
+                f"cut off at byte {place}: nothing but zeros follows, the data for them was never stored"
+            )
+            return False
+        self.contents.harm(f"damaged at byte {place}: no record begins there")
         return self._resume(window, place)
 
     def _resume(self, window: "Window", place: int) -> bool:
@@ -154,7 +190,7 @@ class Scanner:
         found = window.find_chunk(place + 1)
         if found < 0:
             return False
-        self.contents.note(f"reading goes on with the chunk at byte {found}")
+        self.contents.harm(f"damaged between bytes {place} and {found}: reading goes on with the chunk there")
         window.move_to(found)
         return True
 
@@ -168,14 +204,24 @@ class Scanner:
         if is_cut:
             return
         try:
-            _take_definition(self.contents, opcode, data)
+            if opcode == seal.OPCODE:
+                self._check_seal(data, place)
+            else:
+                _take_definition(self.contents, opcode, data)
         except (struct.error, UnicodeDecodeError, ValueError):
-            self.contents.note(f"a record (opcode {opcode}) at byte {place} is damaged and was left out")
+            self.contents.harm(f"a record (opcode {opcode}) at byte {place} is damaged and was left out")
+
+    def _check_seal(self, data: memoryview, place: int) -> None:
+        size_bytes, crc = seal.read_seal(data)
+        if self._window.crc is not None and (size_bytes, crc) != (place, self._window.crc):
+            self.contents.harm(f"the seal at byte {place} does not match the bytes before it")
 
     def _take_chunk(self, data: memoryview, is_cut: bool, place: int) -> None:
         chunk = read_chunk(data, is_cut)
-        if chunk.damage:
+        if chunk.damage and is_cut and not self._ended:
             self.contents.note(f"at byte {place}: {chunk.damage}")
+        elif chunk.damage:
+            self.contents.harm(f"at byte {place}: {chunk.damage}")
         size = len(chunk.content)
         if self._batch_size + size > len(self._batch):
             self._flush()
@@ -200,7 +246,7 @@ class Scanner:
                     position, count = self._take_inner(position, end, count)
                 elif code == mcap_walk.WALK_CUT:
                     if place >= 0:
-                        self.contents.note(f"the chunk at byte {place} ends inside a record")
+                        self.contents.harm(f"the chunk at byte {place} ends inside a record")
                     break
         self._hand_over(count)
         self._segments.clear()
@@ -220,7 +266,7 @@ class Scanner:
         try:
             _take_definition(self.contents, opcode, memoryview(self._batch)[content : content + length])
         except (struct.error, UnicodeDecodeError, ValueError):
-            self.contents.note("a record inside a chunk is damaged and was left out")
+            self.contents.harm("a record inside a chunk is damaged and was left out")
         return content + length, count
 
 
@@ -246,6 +292,9 @@ def _take_definition(contents: Contents, opcode: int, data: memoryview) -> None:
         if size > len(data) - place - 8:
             raise ValueError("attachment longer than its record")
         contents.attachments[name] = (media_type, bytes(data[place + 8 : place + 8 + size]))
+        (crc,) = struct.unpack_from("<I", data, place + 8 + size)
+        if (crc or contents.is_own) and zlib.crc32(data[: place + 8 + size]) != crc:
+            contents.harm(f"the attachment {name} does not match its checksum")
     elif opcode == 0x01:
         contents.library = _text(data, _text(data, 0)[1])[0]
 

@@ -1,6 +1,7 @@
 """A moving window over an MCAP file: the next whole record, and the next recognisable chunk after damage."""
 
 import struct
+import zlib
 
 import numpy as np
 
@@ -14,13 +15,20 @@ _U64 = struct.Struct("<Q")
 
 
 class Window:
-    """Reads `file` (unbuffered, binary) from `offset` on."""
+    """Reads `file` (unbuffered, binary) from `offset` on.
+
+    `crc` is the CRC-32 of all bytes from the start of the file to the current place, as long as nothing was jumped over; None
+    from the first `move_to` on.
+    """
 
     def __init__(self, file, offset: int) -> None:
         self._file = file
         self.size = file.seek(0, 2)
         self._buffer = np.empty(WINDOW_BYTES, np.uint8)
+        file.seek(0)
+        before = file.read(offset)
         self.move_to(offset)
+        self.crc: int | None = zlib.crc32(before)
 
     @property
     def remaining(self) -> int:
@@ -29,6 +37,7 @@ class Window:
 
     def move_to(self, offset: int) -> None:
         """Go on reading at `offset`."""
+        self.crc = None
         self._file.seek(offset)
         self._start = 0
         self._end = 0
@@ -36,6 +45,8 @@ class Window:
 
     def consume(self, count: int) -> None:
         """Move on by `count` bytes."""
+        if self.crc is not None:
+            self.crc = zlib.crc32(self._buffer[self._start : self._start + count], self.crc)
         self._start += count
         self.file_offset += count
 
@@ -52,10 +63,26 @@ class Window:
         self._need(header + length)
         return self._buffer, self._start, self._end, header + length
 
-    def ends_with(self, mark: bytes) -> bool:
-        """The file's last bytes are `mark`; moves the file, so only for the end of a scan."""
-        self._file.seek(max(0, self.size - len(mark)))
-        return self._file.read(len(mark)) == mark
+    def tail(self, count: int) -> bytes:
+        """The last `count` bytes of the file (fewer where it is shorter), without moving on."""
+        return self.bytes_at(max(0, self.size - count), count)
+
+    def bytes_at(self, offset: int, count: int) -> bytes:
+        """Bytes of the file from `offset` on, without moving on."""
+        place = self._file.tell()
+        self._file.seek(offset)
+        data = self._file.read(count)
+        self._file.seek(place)
+        return data
+
+    def rest_is_zero(self) -> bool:
+        """Nothing but zeros follows: blocks the file system kept for data that never came. Moves on to the end."""
+        while self.remaining:
+            self._need(1)
+            if self._buffer[self._start : self._end].any():
+                return False
+            self.consume(self._end - self._start)
+        return True
 
     def find_chunk(self, offset: int) -> int:
         """File offset of the next compressed chunk from `offset` on whose header agrees with itself; -1: none."""

@@ -19,6 +19,7 @@ import numpy as np
 from hilrunner.base import records
 from hilrunner.base.errors import LogError
 from hilrunner.evidence import mcap_walk, schema
+from hilrunner.evidence.damaged import DamagedLogError, hash_mismatches
 from hilrunner.evidence.mcap_scan import Contents, Scanner
 
 _SPARE_ROWS = 1024
@@ -63,6 +64,9 @@ class Run:
     metadata: dict[str, dict[str, str]]
     attachments: dict[str, Attachment]
     damage: tuple[str, ...]  # sentences; empty: the log is whole
+    mismatches: tuple[
+        str, ...
+    ]  # of these, the parts that do not match their checksums or hashes: not cut off, but changed
     finished: bool
     library: str
     start_publish_ns: int  # publish time of the first tick, Unix epoch; 0: no tick
@@ -124,7 +128,8 @@ def read_run(path: str | Path, columns: Columns | None = None, consumers: dict[s
             pattern are left out. Without it everything is kept.
         consumers: topic pattern -> who gets its rows batch by batch instead of their being kept.
 
-    Raises LogError when the file is missing, empty, no MCAP file, or holds no topic of ours.
+    Every checksum of the file is compared; what does not match is told in `mismatches`. Raises LogError when the file is
+    missing, empty, no MCAP file, or holds no topic of ours; DamagedLogError when that is because it is damaged.
     """
     collector = _Collector(columns, consumers or {})
     scanner = Scanner(path, collector.take)
@@ -132,6 +137,10 @@ def read_run(path: str | Path, columns: Columns | None = None, consumers: dict[s
     collector.read_ratio = scanner.read_ratio
     contents = scanner.run()
     collector.note_damage()
+    for text in hash_mismatches(contents.metadata, {name: data for name, (_, data) in contents.attachments.items()}):
+        contents.harm(text)
+    if not collector.own_topics and contents.mismatches:
+        raise DamagedLogError(str(path), f"damaged, and nothing in it can be read: {contents.mismatches[0]}")
     if not collector.own_topics:
         names = {channel[0] for channel in contents.channels.values()}
         if "/rt/tick" in names:  # ours, and cut off (or ended) before its first chunk
@@ -153,6 +162,7 @@ def read_run(path: str | Path, columns: Columns | None = None, consumers: dict[s
         metadata=contents.metadata,
         attachments={name: Attachment(*pair) for name, pair in contents.attachments.items()},
         damage=tuple(damage),
+        mismatches=tuple(contents.mismatches),
         finished=contents.finished,
         library=contents.library,
         start_publish_ns=collector.start_publish_ns,

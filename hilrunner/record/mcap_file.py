@@ -33,6 +33,7 @@ from mcap.records import (
 )
 
 from hilrunner.base.errors import LogError
+from hilrunner.record.seal import seal_record
 
 MAGIC = b"\x89MCAP0\r\n"
 ALLOCATION_STEP_BYTES = 1 << 20  # blocks are taken ahead in steps of this size while there is room
@@ -103,6 +104,7 @@ class McapFile:
 
     def end_of_head(self) -> None:
         """From here on a refusing disk costs data; before, it is a LogError: nothing has been recorded yet."""
+        self.append(seal_record(self.size_bytes, self._crc))
         self._in_head = False
 
     def append(self, data: bytes) -> bool:
@@ -167,7 +169,7 @@ class McapFile:
         start_real_ns: int,
         end_real_ns: int,
     ) -> bool:
-        """A compressed chunk and its message indexes (channel -> encoded (time, offset) pairs), together or not at all."""
+        """A compressed chunk, its message indexes (channel -> encoded (time, offset) pairs) and a seal, together or not at all."""
         name = compression.encode()
         head = struct.pack("<QQQII", start_real_ns, end_real_ns, uncompressed_size, uncompressed_crc, len(name)) + name
         length = len(head) + 8 + len(compressed)
@@ -194,7 +196,8 @@ class McapFile:
         )
         counts = b"".join(COUNT.pack(*pair) for pair in message_counts.items())
         written = WrittenChunk(self.size_bytes, index_record, counts, start_real_ns, end_real_ns, self._crc)
-        if not self.append(b"".join(parts)):
+        data = b"".join(parts)
+        if not self.append(data + seal_record(self.size_bytes + len(data), zlib.crc32(data, self._crc))):
             self.lost_messages += sum(message_counts.values())
             return False
         self._index_size_bytes += len(index_record)

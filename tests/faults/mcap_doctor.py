@@ -13,6 +13,7 @@ import zstandard
 
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 2, 3, 4, 5, 6, 7
+SEAL = 0x80  # ours, private by the specification: bytes before it, their CRC-32
 CHUNK_INDEX, ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFSET, DATA_END = range(8, 16)
 
 
@@ -112,6 +113,10 @@ def _data_section(found: Findings, data: bytes, section: list) -> list[dict]:
         elif opcode == DATA_END:
             crc = reader.number("I")
             found.expect(crc in (0, zlib.crc32(data[:offset])), "data section: wrong checksum")
+        elif opcode == SEAL:
+            before, crc = reader.number("Q"), reader.number("I")
+            found.expect((before, crc) == (offset, zlib.crc32(data[:offset])), f"seal at {offset}: wrong")
+            found.expect(len(content) == 12, f"seal at {offset}: {len(content)} bytes")
         else:
             found.expect(opcode == HEADER, f"record {opcode} in the data section")
     for chunk in chunks:

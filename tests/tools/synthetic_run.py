@@ -161,15 +161,20 @@ def write_run(
     data_size: int = 8,
     profile_text: str = PROFILE,
     edit=None,
+    metadata: dict[str, dict[str, str]] | None = None,
 ) -> Path:
     """Write a log of `tick_count` grid periods.
 
     Args:
         edit: called with a dict of the arrays of each block before they are written; may change them in place.
+        metadata: entries to add to the tables, or to put in place of theirs.
     """
     rng = np.random.default_rng(seed)
     attachments = [("profile.toml", "application/toml", profile_text.encode())]
-    writer = LogWriter(path, [AXIS], data_size, run_metadata(tick_count), attachments)
+    tables = run_metadata(tick_count)
+    for name, entries in (metadata or {}).items():
+        tables[name] = tables.get(name, {}) | entries
+    writer = LogWriter(path, [AXIS], data_size, tables, attachments)
     for first in range(0, tick_count, BLOCK_TICKS):
         tick, miss = ticks_of(first, min(BLOCK_TICKS, tick_count - first), rng, stall_every)
         command, state, check = plant_of(tick, rng)
