@@ -5,15 +5,16 @@
 
 Axis 1 is the source; whatever the file holds for other axes is replaced. Needs nothing but Python.
 Data IDs: message number n = 4 (k - 1) + place in MESSAGES + 1, Data ID of counter c = n (c + 1) mod 251. As 251 is a prime,
-two messages differ in the Data ID of every counter value, so that no frame passes for another one.
+two messages differ in the Data ID of every counter value, so that no frame passes for another one. HEAVE came later and counts
+from the other end, n = 251 - k, so that the four others kept their Data IDs.
 """
 
 import argparse
 import re
 from pathlib import Path
 
-MESSAGES = ("VALVE_COMMAND", "PRESSURES", "MOTION", "BENCH_STATUS")
-AXIS_COUNT_MAX = 62  # 4 * 62 < 251 distinct Data IDs
+MESSAGES = ("VALVE_COMMAND", "PRESSURES", "MOTION", "BENCH_STATUS", "HEAVE")
+AXIS_COUNT_MAX = 50  # 5 * 50 < 251 distinct Data IDs
 
 _ID = re.compile(r"\b(?:BO_|SG_|VAL_) (\d+) ")
 _NAME = re.compile(rf"\b({'|'.join(MESSAGES)})_1\b")
@@ -21,7 +22,7 @@ _NAME = re.compile(rf"\b({'|'.join(MESSAGES)})_1\b")
 
 def data_id_list(message: str, axis: int) -> list[int]:
     """The 16 Data IDs of one message of one axis (from 1)."""
-    number = 4 * (axis - 1) + MESSAGES.index(message) + 1
+    number = 251 - axis if message == "HEAVE" else 4 * (axis - 1) + MESSAGES.index(message) + 1
     return [number * (counter + 1) % 251 for counter in range(16)]
 
 

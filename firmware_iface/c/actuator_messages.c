@@ -300,3 +300,63 @@ frame_status_t actuator_bench_status_unpack(const uint8_t *data, size_t length, 
     e2e_p02_accept(receiver, data);
     return FRAME_VALID;
 }
+
+static const uint8_t heave_data_ids[4][E2E_P02_COUNTER_MODULUS] = {
+    {250, 249, 248, 247, 246, 245, 244, 243, 242, 241, 240, 239, 238, 237, 236, 235},
+    {249, 247, 245, 243, 241, 239, 237, 235, 233, 231, 229, 227, 225, 223, 221, 219},
+    {248, 245, 242, 239, 236, 233, 230, 227, 224, 221, 218, 215, 212, 209, 206, 203},
+    {247, 243, 239, 235, 231, 227, 223, 219, 215, 211, 207, 203, 199, 195, 191, 187},
+};
+
+size_t actuator_heave_pack(uint8_t *data, unsigned axis, uint8_t *counter,
+    const actuator_heave_t *values)
+{
+    if (axis < 1 || axis > 4) {
+        return 0;
+    }
+    for (size_t index = 0; index < 8; index++) {
+        data[index] = 0;
+    }
+    uint64_t heave_position_mm_raw = (uint64_t)raw_of(
+        values->heave_position_mm, REAL(0.01), REAL(0.0), -2000000, 2000000);
+    data[2] = (uint8_t)(data[2] | (heave_position_mm_raw & 0xFFu));
+    data[3] = (uint8_t)(data[3] | ((heave_position_mm_raw >> 8) & 0xFFu));
+    data[4] = (uint8_t)(data[4] | ((heave_position_mm_raw >> 16) & 0xFFu));
+    data[5] = (uint8_t)(data[5] | ((heave_position_mm_raw >> 24) & 0xFFu));
+    uint64_t heave_velocity_mmps_raw = (uint64_t)raw_of(
+        values->heave_velocity_mmps, REAL(0.5), REAL(0.0), -30000, 30000);
+    data[6] = (uint8_t)(data[6] | (heave_velocity_mmps_raw & 0xFFu));
+    data[7] = (uint8_t)(data[7] | ((heave_velocity_mmps_raw >> 8) & 0xFFu));
+    e2e_p02_protect(data, 8, heave_data_ids[axis - 1], counter);
+    return 8;
+}
+
+frame_status_t actuator_heave_unpack(const uint8_t *data, size_t length, unsigned axis,
+    e2e_p02_receiver_t *receiver, actuator_heave_t *values)
+{
+    if (axis < 1 || axis > 4) {
+        return FRAME_UNKNOWN_ID;
+    }
+    if (length != 8) {
+        return FRAME_WRONG_LENGTH;
+    }
+    frame_status_t status = e2e_p02_check(receiver, data, 8, heave_data_ids[axis - 1]);
+    if (status != FRAME_VALID) {
+        return status;
+    }
+    uint64_t heave_position_mm_bits = (uint64_t)(data[2] & 0xFFu)
+        | ((uint64_t)(data[3] & 0xFFu) << 8)
+        | ((uint64_t)(data[4] & 0xFFu) << 16)
+        | ((uint64_t)(data[5] & 0xFFu) << 24);
+    int64_t heave_position_mm_raw = (int64_t)(heave_position_mm_bits ^ 0x80000000u) - 0x80000000;
+    uint64_t heave_velocity_mmps_bits = (uint64_t)(data[6] & 0xFFu)
+        | ((uint64_t)(data[7] & 0xFFu) << 8);
+    int64_t heave_velocity_mmps_raw = (int64_t)(heave_velocity_mmps_bits ^ 0x8000u) - 0x8000;
+    if (heave_position_mm_raw < -2000000 || heave_position_mm_raw > 2000000 || heave_velocity_mmps_raw < -30000 || heave_velocity_mmps_raw > 30000) {
+        return FRAME_OUT_OF_RANGE;
+    }
+    values->heave_position_mm = (actuator_real_t)heave_position_mm_raw * REAL(0.01) + REAL(0.0);
+    values->heave_velocity_mmps = (actuator_real_t)heave_velocity_mmps_raw * REAL(0.5) + REAL(0.0);
+    e2e_p02_accept(receiver, data);
+    return FRAME_VALID;
+}

@@ -138,4 +138,23 @@ size_t actuator_bench_status_pack(uint8_t *data, unsigned axis, uint8_t *counter
 frame_status_t actuator_bench_status_unpack(const uint8_t *data, size_t length, unsigned axis,
     e2e_p02_receiver_t *receiver, actuator_bench_status_t *values);
 
+/* HEAVE_k, BENCH -> FIRMWARE: Motion reference unit: the heave of the vessel that moves the load of this axis. All
+ * zero where the profile has no wave. */
+#define ACTUATOR_HEAVE_ID(axis) (0x480u + (axis))
+#define ACTUATOR_HEAVE_LENGTH 8
+#define ACTUATOR_HEAVE_CYCLE_MS 10
+
+typedef struct {
+    /* mm, [-20000, 20000]. Heave of the vessel from its rest, positive upwards, as the load feels it in this
+     * period. */
+    actuator_real_t heave_position_mm;
+    /* mm/s, [-15000, 15000]. Its speed, positive upwards. */
+    actuator_real_t heave_velocity_mmps;
+} actuator_heave_t;
+
+size_t actuator_heave_pack(uint8_t *data, unsigned axis, uint8_t *counter,
+    const actuator_heave_t *values);
+frame_status_t actuator_heave_unpack(const uint8_t *data, size_t length, unsigned axis,
+    e2e_p02_receiver_t *receiver, actuator_heave_t *values);
+
 #endif

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hilrunner.base import records
+from hilrunner.base import records, status
 
 MAGIC = 0x48494C52494E4731  # "HILRING1"
 HEADER_STRIDE = 8
@@ -60,6 +60,7 @@ class RingShape(NamedTuple):
     can_data_size: int  # 8 or 64
     histogram_count: int  # len(records.HISTOGRAM_NAMES)
     bucket_count: int
+    sent_signal_count: int = 0  # mapped signals of the measurements
 
 
 class Ring(NamedTuple):
@@ -74,6 +75,9 @@ class Ring(NamedTuple):
     histogram: np.ndarray  # (histogram_count, bucket_count) int64, stored by the loop, read wait-free
     extreme: np.ndarray  # (histogram_count, 4) int64: min, max, sum, count
     frame_count: np.ndarray  # (axis_count + 1, status.FRAME_STATUS_COUNT) int64; last row: no axis
+    clamped_count: (
+        np.ndarray
+    )  # (sent_signal_count,) int64: times a signal could not carry its value; at least one entry
 
 
 def _parts(shape: RingShape) -> list[tuple[str, np.dtype, tuple[int, ...]]]:
@@ -87,7 +91,8 @@ def _parts(shape: RingShape) -> list[tuple[str, np.dtype, tuple[int, ...]]]:
         ("can", records.can_frame_record(shape.can_data_size), (shape.can_capacity,)),
         ("histogram", np.dtype("i8"), (shape.histogram_count, shape.bucket_count)),
         ("extreme", np.dtype("i8"), (shape.histogram_count, 4)),
-        ("frame_count", np.dtype("i8"), (axes + 1, 11)),
+        ("frame_count", np.dtype("i8"), (axes + 1, status.FRAME_STATUS_COUNT)),
+        ("clamped_count", np.dtype("i8"), (max(shape.sent_signal_count, 1),)),
     ]
 
 

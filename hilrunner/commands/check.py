@@ -19,11 +19,11 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.setup.arm import arm_offline
     from hilrunner.setup.axes import engine_named, period_ns, period_s
     from hilrunner.setup.host import bus_load_ratio
-    from hilrunner.setup.load_span import load_warnings
     from hilrunner.setup.profile import load_profile
     from hilrunner.setup.stability_store import stored_stability_limit_s
     from hilrunner.setup.stimulus import load_stimulus, profile_schedule
     from hilrunner.setup.traffic import profile_traffic
+    from hilrunner.setup.wire_span import bench_warnings
 
     loaded = load_profile(args.profile)
     load_stimulus(profile_schedule(loaded), loaded)
@@ -48,7 +48,7 @@ def main(args: argparse.Namespace) -> int:
         "axes": axes,
         "bus_load_ratio": round(load, 4),
         "dbc": armed.dbc_path.name,
-        "warnings": _warnings(load) + load_warnings(loaded, armed.axes.plants),
+        "warnings": _warnings(load) + bench_warnings(loaded, armed.axes),
     }
     if args.json:
         print(json.dumps(found))

@@ -5,9 +5,10 @@ import numpy as np
 from hilrunner.base import histogram_scale, records, state_layout, status
 from hilrunner.base import ring as ring_layout
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
-from hilrunner.setup.load_span import load_warnings
+from hilrunner.setup.contract import sent_signal_names
 from hilrunner.setup.model_onnxruntime import engine_errors
 from hilrunner.setup.session import RunResult
+from hilrunner.setup.wire_span import bench_warnings
 
 
 def latency_ns(ring: ring_layout.Ring) -> dict[str, dict[str, int]]:
@@ -26,6 +27,12 @@ def frame_counts(result: RunResult) -> dict[str, dict[str, int]]:
     for name, row in zip(names, result.ring.frame_count, strict=True):
         counts[name] = {text: int(count) for text, count in zip(status.FRAME_STATUS_NAMES, row, strict=True) if count}
     return counts
+
+
+def clamped_counts(result: RunResult) -> dict[str, int]:
+    """How often each sent signal could not carry its value and carried an end of its range instead; zeros left out."""
+    names = sent_signal_names(result.armed.loaded)
+    return {name: int(count) for name, count in zip(names, result.ring.clamped_count, strict=False) if count}
 
 
 def axis_end(result: RunResult) -> list[dict]:
@@ -76,6 +83,7 @@ def summarise_run(result: RunResult, exit_code: int) -> dict:
         "frames_unsent": int(progress["frames_unsent"]),
         "frames_kernel_dropped": int(result.armed.bench.inbox.overflow[0]),
         "frames": frame_counts(result),
+        "clamped": clamped_counts(result),
         "flags": flag_names(int(progress["flags_seen"])),
         "latency_ns": latency_ns(result.ring),
         "axes": axis_end(result),
@@ -83,7 +91,7 @@ def summarise_run(result: RunResult, exit_code: int) -> dict:
         "log": str(result.log_path) if result.log_path else None,
         "recorder": result.recorder,
         "engine_errors": _engine_errors(result),
-        "warnings": load_warnings(result.armed.loaded, result.armed.axes.plants),
+        "warnings": bench_warnings(result.armed.loaded, result.armed.axes),
         "grants": [grant.as_dict() for grant in result.grants],
     }
 

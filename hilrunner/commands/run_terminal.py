@@ -5,8 +5,8 @@ import sys
 from hilrunner.base import histogram_scale, records, state_layout, status
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
 from hilrunner.commands.run_summary import worst_us
-from hilrunner.setup.load_span import load_warnings
 from hilrunner.setup.session import Session
+from hilrunner.setup.wire_span import bench_warnings
 
 _WAKE = records.HISTOGRAM_NAMES.index("wake_lateness")
 
@@ -24,7 +24,7 @@ def print_start(session: Session) -> None:
         )
     for report in axes.model_reports:
         print("  " + report.text().replace("\n", "\n    "))
-    for warning in load_warnings(session.loaded, axes.plants):
+    for warning in bench_warnings(session.loaded, axes):
         print(f"  warning: {warning}")
     print(f"  bus: {session.bus.name if session.bus else 'none (stimulus)'}")
     refused = [grant for grant in session.grants if not grant.granted]
@@ -98,6 +98,9 @@ def print_summary(summary: dict) -> None:
     for name, counts in summary["frames"].items():
         if counts:
             print(f"    {name}: " + ", ".join(f"{count} {text}" for text, count in counts.items()))
+    if summary["clamped"]:
+        told = ", ".join(f"{name} {count} times" for name, count in summary["clamped"].items())
+        print(f"    sent as the end of the signal's range, because the value lies outside: {told}")
     for axis in summary["axes"]:
         print(
             f"  {axis['name']}: {axis['mode']}, x {axis['rod_position_mm']:.3f} mm, "

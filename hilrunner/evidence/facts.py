@@ -2,7 +2,7 @@
 
 import json
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,6 +36,7 @@ class RunFacts:
     host: dict[str, str]  # facts of the host
     provenance: dict[str, str]  # versions, revision, hashes, seeds
     notes: tuple[str, ...]
+    clamped: dict[str, int] = field(default_factory=dict)  # MESSAGE.signal -> values outside its range; sent as its end
 
 
 def read_facts(run: Run, miss_count: int = 0) -> RunFacts:
@@ -70,6 +71,7 @@ def read_facts(run: Run, miss_count: int = 0) -> RunFacts:
         host={key: value for key, value in run.metadata.get("host", {}).items() if key not in left_out},
         provenance={key: value for key, value in table.items() if key != "exit_reason"},
         notes=tuple(notes),
+        clamped={name: _number(count, 0) for name, count in run.metadata.get("clamped", {}).items()},
     )
 
 

@@ -167,7 +167,8 @@ def as_dict(report: Report) -> dict:
                 for name, one in latency.distributions.items()
             },
         },
-        "bus": {key: value for key, value in asdict(report.bus).items() if key != "load_per_s"},
+        "bus": {key: value for key, value in asdict(report.bus).items() if key != "load_per_s"}
+        | {"clamped": report.facts.clamped},
         "axes": [{key: value for key, value in asdict(axis).items() if key != "traces"} for axis in report.axes],
         "cross_check": [{key: value for key, value in asdict(one).items() if key != "traces"} for one in report.checks],
         "host": {

@@ -10,7 +10,7 @@ from hilrunner.evidence import page
 from hilrunner.evidence.junit import number
 from hilrunner.evidence.latency import TITLES, Distribution
 from hilrunner.evidence.report import Report
-from hilrunner.evidence.report_text import axis_sentences, check_rows, latency_rows, us
+from hilrunner.evidence.report_text import axis_sentences, check_rows, clamped_text, latency_rows, us
 from hilrunner.evidence.svg import Axis, Chart
 from hilrunner.evidence.verdict import FAILED, PASSED
 from hilrunner.setup import host
@@ -213,6 +213,8 @@ def _bus(report: Report) -> str:
         told += page.paragraph(
             "Received but not taken: " + ", ".join(f"{n} {name}" for name, n in bus.rejected.items()) + "."
         )
+    if clamped := clamped_text(report):
+        told += page.paragraph(clamped[0].upper() + clamped[1:] + ".")
     if len(bus.load_per_s) < 2:
         return told
     x = Axis("time, s", 0.0, float(len(bus.load_per_s)))

@@ -133,7 +133,18 @@ def _bus(report: Report) -> str:
             " (worst-case stuffing)"
         )
     rejected = ", ".join(f"{count} {name}" for name, count in bus.rejected.items())
-    return text + (f"\n  not taken: {rejected}" if rejected else "")
+    lines = [text]
+    if rejected:
+        lines.append(f"  not taken: {rejected}")
+    if clamped := clamped_text(report):
+        lines.append(f"  {clamped}")
+    return "\n".join(lines)
+
+
+def clamped_text(report: Report) -> str:
+    """Which signals carried an end of their range because the value lay outside, and how often; empty: none."""
+    told = ", ".join(f"{name} {count} times" for name, count in report.facts.clamped.items())
+    return f"sent as the end of the signal's range, because the value lay outside: {told}" if told else ""
 
 
 def _axes(report: Report) -> str:

@@ -108,6 +108,19 @@ def load_scale(components, t_s):
 
 
 @hot
+def heave_motion(components, t_s):
+    """Heave of the vessel and its speed, upwards: (m, m/s); zero in a calm sea."""
+    z = 0.0
+    dz = 0.0
+    for i in range(components.shape[0]):
+        w = components[i, 0]
+        angle = w * t_s + components[i, 2]
+        z += components[i, 1] * math.cos(angle)
+        dz -= components[i, 1] * w * math.sin(angle)
+    return z, dz
+
+
+@hot
 def reference_motion(components, t_s, rest_position_m, tip_rise_per_travel):
     """Rod position and speed that keep the hook still: x0 - z / rho, -z' / rho; (m, m/s)."""
     z, dz, _ = heave(components, t_s)

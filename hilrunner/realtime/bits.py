@@ -187,15 +187,18 @@ def decode_number(signals, index, data):
 def encode_si(signals, index, value, data):
     """Write an SI value: wrapped if the signal wraps, else clamped to its range; NaN is sent as the number nearest to 0.
 
-    Rounds half to even, the rule of IEEE 754 and of `rint` in C.
+    Rounds half to even, the rule of IEEE 754 and of `rint` in C. Returns whether the number on the wire is another one than the
+    value asks for, rounding aside.
     """
     number = (value - signals[index]["offset"]) / signals[index]["scale"]
-    if math.isnan(number):
+    no_number = math.isnan(number)
+    if no_number:
         number = 0.0
     if signals[index]["kind"] <= KIND_SIGNED:
         number = np.rint(number)
     modulus = signals[index]["modulus"]
     if modulus > 0.0 and math.isfinite(number):
         number -= math.floor(number / modulus) * modulus
-    number = min(max(number, signals[index]["number_min"]), signals[index]["number_max"])
-    insert_bits(signals, index, bits_of_number(signals, index, number), data)
+    sent = min(max(number, signals[index]["number_min"]), signals[index]["number_max"])
+    insert_bits(signals, index, bits_of_number(signals, index, sent), data)
+    return no_number or sent != number

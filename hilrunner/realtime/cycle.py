@@ -10,6 +10,7 @@ from hilrunner.base import state_layout, status
 from hilrunner.base.compiled import entry, hot
 from hilrunner.base.records import FRAME_STATUS_NONE
 from hilrunner.plant.step import advance, current_load_force
+from hilrunner.plant.wave import heave_motion
 from hilrunner.plant.wave import load_scale as wave_load_scale
 from hilrunner.realtime import command, encode, faults
 from hilrunner.realtime.decode import decode_command
@@ -75,6 +76,10 @@ def step_stage(bench, tick, period_count):
         flags = np.int64(0)
         for at in range(tick - period_count + 1, tick + 1):
             flags |= _advance_axis(bench, axis, at, config["period_ns"], config["period_s"])
+        # at the time of the load above, so that the firmware is told the very heave that moves its load
+        z, dz = heave_motion(bench.wave[axis], tick * config["period_s"])
+        bench.quantity[axis, encode.QUANTITY_HEAVE_POSITION] = z
+        bench.quantity[axis, encode.QUANTITY_HEAVE_VELOCITY] = dz
         if bench.commands[axis]["mode"] == status.MODE_FAIL_SAFE:
             flags |= status.FLAG_FAIL_SAFE
         if faults.any_active(bench.faults, axis, tick):
@@ -148,7 +153,9 @@ def encode_stage(bench, tick):
         if faults.acts(bench.faults, faults.MEASUREMENT_LOST, axis, tick):
             continue
         frame = bench.outbox.frame[count]
-        length = encode.encode_measurement(table, message, bench.quantity, bench.sent_counter, frame[_DATA_AT:])
+        length = encode.encode_measurement(
+            table, message, bench.quantity, bench.sent_counter, bench.ring.clamped_count, frame[_DATA_AT:]
+        )
         if faults.acts(bench.faults, faults.MEASUREMENT_BAD_CRC, axis, tick):
             frame[_DATA_AT] ^= np.uint8(0xFF)
         can_id = np.int64(table.can_id[message])

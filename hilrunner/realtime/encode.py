@@ -27,8 +27,10 @@ from hilrunner.realtime import bits, e2e
     QUANTITY_TICK,  # period number; wraps at the signal's width
     QUANTITY_DEADLINE_MISSES,  # stays at the signal's maximum
     QUANTITY_ECHOED_TIMESTAMP,  # us of the sender's clock; wraps at the signal's width
+    QUANTITY_HEAVE_POSITION,  # m, heave of the vessel, positive upwards; 0 without a wave
+    QUANTITY_HEAVE_VELOCITY,  # m/s
     QUANTITY_COUNT,
-) = range(17)
+) = range(19)
 
 QUANTITY_NAMES = (
     "chamber_1_pressure",
@@ -47,6 +49,8 @@ QUANTITY_NAMES = (
     "tick",
     "deadline_misses",
     "echoed_timestamp",
+    "heave_position",
+    "heave_velocity",
 )
 WRAPPING_QUANTITIES = (QUANTITY_TICK, QUANTITY_ECHOED_TIMESTAMP)
 DATA_SIZE_MAX = 64
@@ -82,12 +86,13 @@ def send_counters(table: MeasurementTable) -> np.ndarray:
 
 
 @hot
-def encode_measurement(table, message, quantities, counter, data):
+def encode_measurement(table, message, quantities, counter, clamped, data):
     """Fill the data bytes of one message.
 
     Args:
         table: MeasurementTable. message: index. quantities: f8[axis, QUANTITY_COUNT], read.
         counter: i8[message], last sent alive counters, this message's one is moved on.
+        clamped: i8[signal], one more for each signal whose value does not fit and is sent as the nearest one that does.
         data: u1[64], written up to the message's length.
 
     Returns:
@@ -99,7 +104,8 @@ def encode_measurement(table, message, quantities, counter, data):
     axis = table.axis[message]
     first = table.signal_first[message]
     for index in range(first, first + table.signal_count[message]):
-        bits.encode_si(table.signals, index, quantities[axis, table.quantity[index]], data)
+        if bits.encode_si(table.signals, index, quantities[axis, table.quantity[index]], data):
+            clamped[index] += 1
     if table.protected[message] != 0:
         counter[message] = (counter[message] + 1) % e2e.COUNTER_MODULUS
         e2e.protect_p02(data, length, table.data_ids[message], counter[message])

@@ -31,7 +31,7 @@ _COPIED = (
 def rehearsal_of(bench: Bench) -> Bench:
     """The same bench with a state of its own."""
     copies = {name: getattr(bench, name).copy() for name in _COPIED}
-    ring = bench.ring._replace(frame_count=bench.ring.frame_count.copy())
+    ring = bench.ring._replace(frame_count=bench.ring.frame_count.copy(), clamped_count=bench.ring.clamped_count.copy())
     return bench._replace(ring=ring, **copies)
 
 

@@ -52,6 +52,7 @@ class RecorderConfig:
     statistics_hz: float = 1.0
     live_port: int | None = None
     live_hz: float = 25.0
+    sent_signals: list[str] = field(default_factory=list)  # MESSAGE.signal of every entry of the ring's clamped_count
     cpus: list[int] | None = None  # cores the recorder may use; None: all but the runner's choice
     check: CheckConfig | None = None
 

@@ -11,7 +11,13 @@ from hilrunner.record.check_worker import CheckWorker
 from hilrunner.record.config import RecorderConfig
 from hilrunner.record.drain import Drain
 from hilrunner.record.mcap_log import LOG_LEVEL_ERROR, LOG_LEVEL_INFO, LOG_LEVEL_WARNING, LogWriter
-from hilrunner.record.statistics import HISTOGRAM_ATTACHMENT, frame_counts, histogram_text, statistics_record
+from hilrunner.record.statistics import (
+    HISTOGRAM_ATTACHMENT,
+    clamped_counts,
+    frame_counts,
+    histogram_text,
+    statistics_record,
+)
 
 CHECK_WAIT_S = 40.0  # for the cross-check's backlog, when the runner waits for the summary
 CHECK_WAIT_ORPHAN_S = 10.0  # when the runner is dead: the log shall be finished soon
@@ -148,6 +154,9 @@ class Recorder:
             LOG_LEVEL_WARNING if killed else LOG_LEVEL_INFO,
             f"run ended: {status.EXIT_NAMES[reason]}; last tick {self.last_tick}",
         )
+        for name, count in clamped_counts(self.drain.ring, self.settings.sent_signals).items():
+            text = f"{name}: {count} values lay outside the signal's range and were sent as its end"
+            self.event(LOG_LEVEL_WARNING, text)
         if self.log:
             self.log.flush()
             self.account()
@@ -207,7 +216,11 @@ class Recorder:
         if error:
             ended["recorder_error"] = "; ".join(part for part in error if part)
         run = {**self.settings.metadata.get("run", {}), **ended}
-        tables = {"run": run, "frames": frame_counts(self.drain.ring, self.settings.axis_names)}
+        tables = {
+            "run": run,
+            "frames": frame_counts(self.drain.ring, self.settings.axis_names),
+            "clamped": clamped_counts(self.drain.ring, self.settings.sent_signals),
+        }
         if self.check:
             tables["check"] = _flat(self.check.summary())
         return {name: {key: str(value) for key, value in table.items()} for name, table in tables.items()}

@@ -48,6 +48,11 @@ def histogram_text(ring: ring_layout.Ring) -> str:
     return json.dumps(table)
 
 
+def clamped_counts(ring: ring_layout.Ring, sent_signals: list[str]) -> dict[str, int]:
+    """Sent signals that carried an end of their range because the value lay outside: `MESSAGE.signal` -> times."""
+    return {name: int(count) for name, count in zip(sent_signals, ring.clamped_count, strict=False) if count}
+
+
 def frame_counts(ring: ring_layout.Ring, axis_names: list[str]) -> dict[str, str]:
     """Received frames by axis (last: no axis) and outcome, only those that occurred: `lift.bad crc` -> count."""
     rows = [*axis_names, "none"]

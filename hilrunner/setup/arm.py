@@ -19,7 +19,7 @@ from hilrunner.realtime.miss import NO_SCHEDSTAT, make_usage_scratch
 from hilrunner.realtime.socketcan import make_mailbox
 from hilrunner.setup import axes as axis_setup
 from hilrunner.setup import resources
-from hilrunner.setup.contract import dbc_path, signal_tables
+from hilrunner.setup.contract import dbc_path, sent_signal_names, signal_tables
 from hilrunner.setup.profile import DeadlineLimit, Fault, LoadedProfile
 
 INBOX_FRAMES = 1024  # most frames one tick takes; the rest waits in the socket
@@ -50,6 +50,7 @@ def ring_shape(loaded: LoadedProfile, seconds: float = RING_SECONDS) -> ring_lay
         can_data_size=64 if loaded.profile.can.fd else 8,
         histogram_count=len(records.HISTOGRAM_NAMES),
         bucket_count=BUCKET_COUNT,
+        sent_signal_count=len(sent_signal_names(loaded)),
     )
 
 

@@ -7,8 +7,10 @@ from hilrunner.realtime.decode import CommandTable
 from hilrunner.realtime.encode import MeasurementTable
 from hilrunner.setup import resources
 from hilrunner.setup.axes import find_file, period_ns
+from hilrunner.setup.database import load_database
+from hilrunner.setup.mapping import HEAVE_MESSAGE, AxisMapping, default_mapping
 from hilrunner.setup.profile import LoadedProfile
-from hilrunner.setup.signals import AxisMapping, default_mapping, load_signals
+from hilrunner.setup.signals import load_signals
 
 
 def dbc_path(loaded: LoadedProfile) -> Path:
@@ -23,14 +25,26 @@ def dbc_path(loaded: LoadedProfile) -> Path:
 
 def signal_tables(loaded: LoadedProfile) -> tuple[CommandTable, MeasurementTable]:
     """Command and measurement tables of a profile; DbcError or ProfileError where they cannot be made."""
-    return load_signals(dbc_path(loaded), _mapping(loaded), period_ns(loaded), fd=loaded.profile.can.fd)
+    return load_signals(dbc_path(loaded), axis_mappings(loaded), period_ns(loaded), fd=loaded.profile.can.fd)
 
 
-def _mapping(loaded: LoadedProfile) -> list[AxisMapping]:
+def sent_signal_names(loaded: LoadedProfile) -> list[str]:
+    """`MESSAGE.signal` of every signal the bench fills, in the order of the measurement table."""
+    return [
+        f"{entry.message}.{mapped if isinstance(mapped, str) else mapped.signal}"
+        for axis in axis_mappings(loaded)
+        for entry in axis.measurements
+        for mapped in entry.signals.values()
+    ]
+
+
+def axis_mappings(loaded: LoadedProfile) -> list[AxisMapping]:
+    """One mapping an axis: the profile's own, or that of the shipped contract; ProfileError, DbcError."""
     mapping = loaded.profile.can.mapping
     axis_count = len(loaded.profile.axis)
     if not mapping:
-        return default_mapping(axis_count)
+        names = {message.name for message in load_database(dbc_path(loaded)).messages}
+        return default_mapping(axis_count, with_heave=f"{HEAVE_MESSAGE}_1" in names)
     if len(mapping) != axis_count:
         raise ProfileError(
             f"{loaded.path}: can.mapping",

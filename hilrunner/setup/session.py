@@ -27,6 +27,7 @@ from hilrunner.setup import host
 from hilrunner.setup.arm import Armed, arm, local_ring, ring_shape
 from hilrunner.setup.axes import AxisSet, build_axes, period_ns, reference_plants
 from hilrunner.setup.bus import OpenBus, errno_text, open_bus
+from hilrunner.setup.contract import sent_signal_names
 from hilrunner.setup.profile import LoadedProfile
 from hilrunner.setup.run_manifest import run_attachments, run_metadata, stimulus_bytes
 
@@ -269,6 +270,7 @@ class Session:
             metadata=run_metadata(self.loaded, self.options.engine, self.grants, self.host_report),
             attachments=run_attachments(self.loaded, self.options.engine, self._write_stimulus()),
             live_port=self.options.live_port,
+            sent_signals=sent_signal_names(self.loaded),
             check=self._check_config(),
         )
 

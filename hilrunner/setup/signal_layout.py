@@ -75,8 +75,12 @@ def _window_bits(row: np.ndarray) -> int:
     return own
 
 
-def row(where: str, signal, factor: Fraction, modulus: bool) -> np.ndarray:
-    """The row of a signal whose physical value times `factor` is SI; `modulus`: it wraps instead of being clamped."""
+def row(where: str, signal, factor: Fraction, modulus: bool, limits: tuple[float, float] | None = None) -> np.ndarray:
+    """The row of a signal whose physical value times `factor` is SI.
+
+    Args:
+        modulus: it wraps instead of being clamped. limits: lowest and highest physical value in place of the DBC's.
+    """
     if not 1 <= signal.length <= 64:
         raise DbcError(where, f"{signal.length} bits long", "1..64 bits")
     scale = Fraction(str(signal.scale))
@@ -96,7 +100,7 @@ def row(where: str, signal, factor: Fraction, modulus: bool) -> np.ndarray:
     out["sign_bit"] = 1 << (signal.length - 1) if out["kind"] == bits.KIND_SIGNED else 0
     out["scale"] = float(scale * factor)
     out["offset"] = float(Fraction(str(signal.offset)) * factor)
-    out["number_min"], out["number_max"] = _number_range(where, signal, int(out["kind"]), scale)
+    out["number_min"], out["number_max"] = _number_range(where, signal, int(out["kind"]), scale, limits)
     if modulus:
         _check_modulus(where, signal, out)
         out["modulus"] = float(1 << signal.length)
@@ -120,10 +124,10 @@ def _check_modulus(where: str, signal, out: np.ndarray) -> None:
         raise DbcError(where, "a counter that wraps must be unsigned, without offset", "up to 52 bits")
 
 
-def _number_range(where: str, signal, kind: int, scale: Fraction) -> tuple[float, float]:
-    """Allowed numbers on the wire: the DBC's range, cut to what the bits can hold; [0|0] means no range."""
+def _number_range(where: str, signal, kind: int, scale: Fraction, limits) -> tuple[float, float]:
+    """Allowed numbers on the wire: the range told, cut to what the bits can hold; [0|0] means no range."""
     low, high = _full_range(signal.length, kind)
-    minimum, maximum = signal.minimum, signal.maximum
+    minimum, maximum = limits or (signal.minimum, signal.maximum)
     if minimum is not None and maximum is not None and not (minimum == 0 and maximum == 0):
         offset = Fraction(str(signal.offset))
         ends = sorted(((Fraction(str(end)) - offset) / scale) for end in (minimum, maximum))
@@ -154,17 +158,6 @@ def _float_at_most(value: int | float) -> float:
 def _float_at_least(value: int | float) -> float:
     number = float(value)
     return math.nextafter(number, math.inf) if number < value else number
-
-
-def start_image(message) -> np.ndarray:
-    """u1[64]: the message with every signal at its GenSigStartValue (0 without one)."""
-    image = np.zeros(encode.DATA_SIZE_MAX, np.uint8)
-    for signal in message.signals:
-        raw = int(signal.raw_initial or 0) if not signal.is_float else 0
-        for index, place in enumerate(bit_places(signal.start, signal.length, signal.byte_order)):
-            if raw >> index & 1:
-                image[place // 8] |= 1 << place % 8
-    return image
 
 
 def check_room(where: str, length: int, rows: list[np.ndarray], protected: bool) -> None:

@@ -1,16 +1,12 @@
 """A DBC and a mapping become the integer tables of realtime.decode and realtime.encode.
 
-The mapping says which message and signal carries which quantity; ids, bits, byte order, scale, unit, range, cycle
-time, start values and end-to-end protection come from the DBC. `default_mapping` is the mapping of
-firmware_iface/actuator.dbc; a profile can give its own for any DBC.
+The mapping (setup.mapping) says which message and signal carries which quantity; ids, bits, byte order, scale, unit, range, cycle
+time, start values and end-to-end protection come from the DBC.
 """
 
 from fractions import Fraction
 from pathlib import Path
-from typing import Literal
 
-import cantools
-import msgspec
 import numpy as np
 
 from hilrunner.base import status
@@ -18,6 +14,19 @@ from hilrunner.base.errors import DbcError
 from hilrunner.base.units import NS_PER_MS, WIRE_UNITS
 from hilrunner.realtime import bits, decode, e2e, encode
 from hilrunner.setup import signal_layout
+from hilrunner.setup.database import find_message, load_database
+from hilrunner.setup.mapping import (
+    MAX_COUNTER_DELTA,
+    AxisMapping,
+    CommandMapping,
+    MeasurementMapping,
+    Protection,
+    SignalMapping,
+    default_mapping,
+)
+from hilrunner.setup.start_values import start_image
+
+__all__ = ["AxisMapping", "CommandMapping", "MeasurementMapping", "Protection", "SignalMapping", "default_mapping"]
 
 QUANTITY_KINDS = {
     "chamber_1_pressure": "pressure",
@@ -36,91 +45,11 @@ QUANTITY_KINDS = {
     "tick": "count",
     "deadline_misses": "count",
     "echoed_timestamp": "timestamp",
+    "heave_position": "length",
+    "heave_velocity": "velocity",
 }
 CONTROL_NAMES = ("disabled", "hold", "active", "reset")
 FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
-MAX_COUNTER_DELTA = 3  # two frames in a row may be lost
-
-
-class SignalMapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One signal; `unit` replaces the DBC's unit, `factor` (physical value times factor = SI) replaces both."""
-
-    signal: str
-    unit: str | None = None
-    factor: float | None = None
-
-
-class Protection(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """End-to-end protection of a message whose DBC does not declare it."""
-
-    data_id_list: list[int]
-    profile: Literal["P02"] = "P02"
-
-
-class CommandMapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The message that carries an axis' valve command.
-
-    Without `control` every valid frame counts as Active, and a latched fail-safe lasts to the end of the run.
-    `control_values` gives the raw value of each control word (default 0, 1, 2, 3).
-    """
-
-    message: str
-    valve_command: str | SignalMapping
-    control: str | None = None
-    timestamp: str | SignalMapping | None = None
-    control_values: dict[Literal["disabled", "hold", "active", "reset"], int] | None = None
-    protection: Protection | Literal["dbc", "none"] = "dbc"
-    max_counter_delta: int = MAX_COUNTER_DELTA
-
-
-class MeasurementMapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A message the bench sends: quantity name (encode.QUANTITY_NAMES) -> signal; `cycle_ms` replaces GenMsgCycleTime."""
-
-    message: str
-    signals: dict[str, str | SignalMapping]
-    cycle_ms: float | None = None
-    protection: Protection | Literal["dbc", "none"] = "dbc"
-
-
-class AxisMapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The messages of one axis."""
-
-    command: CommandMapping
-    measurements: list[MeasurementMapping]
-
-
-def default_mapping(axis_count: int = 1) -> list[AxisMapping]:
-    """The mapping of firmware_iface/actuator.dbc for axes 1..axis_count."""
-    return [_default_axis(number) for number in range(1, axis_count + 1)]
-
-
-def _default_axis(number: int) -> AxisMapping:
-    return AxisMapping(
-        command=CommandMapping(f"VALVE_COMMAND_{number}", "valve_setpoint", "control", "timestamp_us"),
-        measurements=[
-            MeasurementMapping(
-                f"PRESSURES_{number}",
-                {
-                    "chamber_1_pressure": "chamber_1_pressure_kpa",
-                    "chamber_2_pressure": "chamber_2_pressure_kpa",
-                    "supply_pressure": "supply_pressure_kpa",
-                },
-            ),
-            MeasurementMapping(
-                f"MOTION_{number}", {"rod_position": "rod_position_mm", "rod_velocity": "rod_velocity_mmps"}
-            ),
-            MeasurementMapping(
-                f"BENCH_STATUS_{number}",
-                {
-                    "bench_state": "bench_state",
-                    "flags": "flags",
-                    "deadline_misses": "deadline_misses",
-                    "tick": "tick",
-                    "echoed_timestamp": "echoed_timestamp_us",
-                },
-            ),
-        ],
-    )
 
 
 def load_signals(
@@ -136,7 +65,7 @@ def load_signals(
     Raises:
         DbcError: no such file, message or signal; a unit or range that cannot carry the quantity; two uses of one message.
     """
-    database = _load_database(Path(dbc_path))
+    database = load_database(Path(dbc_path))
     place = Path(dbc_path).name
     _check_messages(place, database, mapping, fd)
     return (
@@ -145,36 +74,12 @@ def load_signals(
     )
 
 
-def _load_database(path: Path) -> cantools.database.Database:
-    try:
-        # not strict: a user's DBC may overlap in messages nobody maps; mapped ones are checked below
-        database = cantools.database.load_file(path, database_format="dbc", encoding="utf-8", strict=False)
-    except UnicodeDecodeError:
-        database = cantools.database.load_file(path, database_format="dbc", encoding="cp1252", strict=False)
-    except OSError as error:
-        raise DbcError(str(path), f"cannot be read ({error.strerror})", remedy="name an existing DBC file") from error
-    except Exception as error:  # cantools lets parser and value errors of several modules through
-        raise DbcError(str(path), f"is not a DBC file cantools understands ({error})") from error
-    return database
-
-
-def _message(place: str, database, name: str):
-    for message in database.messages:
-        if message.name == name:
-            return message
-    known = ", ".join(sorted(message.name for message in database.messages)[:12])
-    raise DbcError(
-        f"{place}: {name}", "no such message", f"{known}, ..." if known else "the DBC holds no message",
-        "map an existing message, or add axes with firmware_iface/make_axes.py",
-    )  # fmt: skip
-
-
 def _check_messages(place: str, database, mapping: list[AxisMapping], fd: bool) -> None:
     """Every mapped message exists, is mapped once, and has a length the bus can carry."""
     used: dict[int, str] = {}
     for axis in mapping:
         for name in [axis.command.message] + [entry.message for entry in axis.measurements]:
-            message = _message(place, database, name)
+            message = find_message(place, database, name)
             if _can_id(message) in used:
                 raise DbcError(
                     f"{place}: {name}", f"identifier 0x{message.frame_id:x} is mapped twice (also as {used[_can_id(message)]})",
@@ -241,7 +146,7 @@ def _row(place: str, message, mapped: str | SignalMapping, kind: str, modulus: b
                 ", ".join(f"'{name}'" for name in WIRE_UNITS[kind]), "give `unit` or `factor` in the mapping",
             )  # fmt: skip
         factor = Fraction(WIRE_UNITS[kind][unit])
-    return signal_layout.row(where, signal, factor, modulus)
+    return signal_layout.row(where, signal, factor, modulus, mapped.range)
 
 
 def _command_table(place: str, database, commands: list[CommandMapping]) -> decode.CommandTable:
@@ -260,7 +165,7 @@ def _command_table(place: str, database, commands: list[CommandMapping]) -> deco
         signals=np.zeros(0, bits.SIGNAL),
     )
     for axis, command in enumerate(commands):
-        message = _message(place, database, command.message)
+        message = find_message(place, database, command.message)
         ids = _data_ids(place, message, command.protection)
         if not 1 <= command.max_counter_delta <= 14:
             raise DbcError(
@@ -341,7 +246,7 @@ def _measurement_table(place: str, database, mapping: list[AxisMapping], period_
         signals=np.zeros(0, bits.SIGNAL),
     )
     for index, (_, entry) in enumerate(entries):
-        message = _message(place, database, entry.message)
+        message = find_message(place, database, entry.message)
         ids = _data_ids(place, message, entry.protection)
         table.can_id[index] = _can_id(message)
         table.length[index] = message.length
@@ -351,7 +256,7 @@ def _measurement_table(place: str, database, mapping: list[AxisMapping], period_
         if ids is not None:
             table.protected[index] = 1
             table.data_ids[index] = ids
-        table.template[index] = signal_layout.start_image(message)
+        table.template[index] = start_image(message)
         table.signal_first[index] = len(rows)
         for name, mapped in entry.signals.items():
             if name not in encode.QUANTITY_NAMES:

@@ -1,9 +1,10 @@
-"""The frames a profile puts on the bus, for its load: commands every period, measurements as the DBC's cycle times say."""
+"""The frames a profile puts on the bus, for its load: commands and measurements as the DBC's cycle times and the mapping say."""
 
-from hilrunner.base.units import NS_PER_S
+from hilrunner.base.units import NS_PER_MS, NS_PER_S
 from hilrunner.realtime.decode import CommandTable
 from hilrunner.realtime.encode import MeasurementTable
-from hilrunner.setup.contract import signal_tables
+from hilrunner.setup.contract import axis_mappings, dbc_path, signal_tables
+from hilrunner.setup.database import find_message, load_database
 from hilrunner.setup.host_can import FrameTraffic
 from hilrunner.setup.profile import LoadedProfile
 
@@ -11,13 +12,22 @@ _EFF = 1 << 31
 
 
 def table_traffic(
-    commands: CommandTable, measurements: MeasurementTable, period_ns: int, fd: bool = False
+    commands: CommandTable,
+    measurements: MeasurementTable,
+    period_ns: int,
+    fd: bool = False,
+    command_cycles_ns: list[int] | None = None,
 ) -> list[FrameTraffic]:
-    """Frames a second of both tables; the firmware is taken to send a command every period, the most a bench can use."""
+    """Frames a second of both tables.
+
+    Args:
+        command_cycles_ns: one a command message; None or 0: the firmware is taken to send every period, the most a bench can use.
+    """
     ticks_per_s = NS_PER_S / period_ns
+    cycles = command_cycles_ns or [0] * len(commands.can_id)
     traffic = [
-        FrameTraffic(ticks_per_s, int(length), bool(int(can_id) & _EFF), fd)
-        for can_id, length in zip(commands.can_id, commands.length, strict=True)
+        FrameTraffic(NS_PER_S / cycle if cycle else ticks_per_s, int(length), bool(int(can_id) & _EFF), fd)
+        for can_id, length, cycle in zip(commands.can_id, commands.length, cycles, strict=True)
     ]
     for message in range(measurements.message_count):
         traffic.append(
@@ -38,4 +48,12 @@ def profile_traffic(loaded: LoadedProfile, period_ns: int) -> list[FrameTraffic]
         DbcError: the DBC or the mapping is refused.
     """
     commands, measurements = signal_tables(loaded)
-    return table_traffic(commands, measurements, period_ns, loaded.profile.can.fd)
+    return table_traffic(commands, measurements, period_ns, loaded.profile.can.fd, command_cycles_ns(loaded))
+
+
+def command_cycles_ns(loaded: LoadedProfile) -> list[int]:
+    """How often the DBC says that each command message comes; 0 where it does not say."""
+    path = dbc_path(loaded)
+    database = load_database(path)
+    messages = [find_message(path.name, database, mapped.command.message) for mapped in axis_mappings(loaded)]
+    return [round(max(message.cycle_time or 0, 0) * NS_PER_MS) for message in messages]

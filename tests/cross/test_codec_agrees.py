@@ -11,7 +11,7 @@ from hilrunner.setup import signals
 from tests.tools import codec_entries, contract, firmware_c
 
 SEED = 4711
-KINDS = ("VALVE_COMMAND", "PRESSURES", "MOTION", "BENCH_STATUS")
+KINDS = ("VALVE_COMMAND", "PRESSURES", "MOTION", "BENCH_STATUS", "HEAVE")
 COUNT = 400
 
 

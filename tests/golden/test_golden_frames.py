@@ -27,7 +27,7 @@ def counter_of(frame):
 
 
 def test_every_message_and_every_use_is_there():
-    assert {frame.message for frame in GOLDEN} == {"VALVE_COMMAND", "PRESSURES", "MOTION", "BENCH_STATUS"}
+    assert {frame.message for frame in GOLDEN} == set(contract.make_axes().MESSAGES)
     assert {frame.use for frame in GOLDEN} == {"both", "send", "bench"}
     assert {frame.axis for frame in GOLDEN} == {1, 2, 3, 4}
 

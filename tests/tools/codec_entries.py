@@ -41,8 +41,15 @@ def decode_many(table, can_ids, lengths, frames, last_counter, fresh, codes, cha
 
 @entry
 def encode_one(table, message, quantities, counter, data):
-    """encode.encode_measurement as Python can call it."""
-    return encode.encode_measurement(table, message, quantities, counter, data)
+    """encode.encode_measurement as Python can call it; what it clamps is not told."""
+    clamped = np.zeros(table.signals.shape[0], np.int64)
+    return encode.encode_measurement(table, message, quantities, counter, clamped, data)
+
+
+@entry
+def encode_counting(table, message, quantities, counter, clamped, data):
+    """encode.encode_measurement as Python can call it, with its count of clamped values."""
+    return encode.encode_measurement(table, message, quantities, counter, clamped, data)
 
 
 @entry
@@ -66,7 +73,7 @@ def number_one(signals, index, data):
 @entry
 def encode_si_one(signals, index, value, data):
     """bits.encode_si as Python can call it."""
-    bits.encode_si(signals, index, value, data)
+    return bits.encode_si(signals, index, value, data)
 
 
 @entry

@@ -8,7 +8,7 @@ import pytest
 from hilrunner.base import status
 from tests.tools import contract
 
-BASES = {"VALVE_COMMAND": 0x200, "PRESSURES": 0x180, "MOTION": 0x280, "BENCH_STATUS": 0x380}
+BASES = {"VALVE_COMMAND": 0x200, "PRESSURES": 0x180, "MOTION": 0x280, "BENCH_STATUS": 0x380, "HEAVE": 0x480}
 UNIT_OF_SUFFIX = {"kpa": "kPa", "mm": "mm", "mmps": "mm/s", "us": "us"}
 MESSAGES = contract.database().messages
 SIGNALS = [(message, signal) for message in MESSAGES for signal in message.signals]
@@ -19,7 +19,7 @@ def signal_names(pairs):
 
 
 def test_messages_and_identifiers():
-    assert len(MESSAGES) == 16
+    assert len(MESSAGES) == 20
     for message in MESSAGES:
         name, axis = re.fullmatch(r"(\w+)_(\d)", message.name).groups()
         assert message.frame_id == BASES[name] + int(axis) and not message.is_extended_frame
@@ -27,7 +27,7 @@ def test_messages_and_identifiers():
         firmware = name == "VALVE_COMMAND"
         assert message.senders == (["FIRMWARE"] if firmware else ["BENCH"])
         assert message.receivers == ({"BENCH"} if firmware else {"FIRMWARE"})
-        assert message.cycle_time == (10 if name == "BENCH_STATUS" else 1)
+        assert message.cycle_time == (10 if name in ("BENCH_STATUS", "HEAVE") else 1)
 
 
 def test_nodes_are_named_and_explained():
@@ -69,8 +69,8 @@ def test_data_ids_differ_between_any_two_messages_at_every_counter():
 def test_data_ids_stay_apart_for_the_most_axes_make_axes_allows():
     make_axes = contract.make_axes()
     for counter in range(16):
-        ids = [make_axes.data_id_list(name, axis)[counter] for axis in range(1, 63) for name in make_axes.MESSAGES]
-        assert len(set(ids)) == len(ids) == 248 and max(ids) <= 250
+        ids = [make_axes.data_id_list(name, axis)[counter] for axis in range(1, 51) for name in make_axes.MESSAGES]
+        assert len(set(ids)) == len(ids) == 250 and max(ids) <= 250
 
 
 def test_value_tables_are_those_of_the_status_codes():
@@ -88,6 +88,6 @@ def test_axes_are_made_from_axis_1_and_the_file_is_up_to_date():
     assert make_axes.with_axes(text, 4) == text
     alone = make_axes.with_axes(text, 1)
     assert "_2" not in alone.replace("chamber_2", "") and make_axes.with_axes(alone, 4) == text
-    for count in (0, 63):
-        with pytest.raises(ValueError, match="1..62"):
+    for count in (0, 51):
+        with pytest.raises(ValueError, match="1..50"):
             make_axes.with_axes(text, count)

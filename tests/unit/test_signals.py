@@ -46,12 +46,23 @@ def refused(tmp_path, messages=(COMMAND, SENSORS), **changes) -> str:
 def test_the_default_mapping_is_the_contract():
     command, measurement = signals.load_signals(contract.DBC, signals.default_mapping(2))
     assert [hex(value) for value in command.can_id] == ["0x201", "0x202"]
-    assert [hex(value) for value in measurement.can_id] == ["0x181", "0x281", "0x381", "0x182", "0x282", "0x382"]
-    assert list(measurement.axis) == [0, 0, 0, 1, 1, 1]
-    assert list(measurement.period_ticks) == [1, 1, 10, 1, 1, 10]
+    assert [hex(value) for value in measurement.can_id] == [
+        "0x181",
+        "0x281",
+        "0x381",
+        "0x481",
+        "0x182",
+        "0x282",
+        "0x382",
+        "0x482",
+    ]
+    assert list(measurement.axis) == [0, 0, 0, 0, 1, 1, 1, 1]
+    assert list(measurement.period_ticks) == [1, 1, 10, 10, 1, 1, 10, 10]
     assert np.all(measurement.protected == 1) and np.all(command.protected == 1) and not np.any(measurement.fd)
-    assert measurement.message_count == 6
-    assert measurement.phase[2] != measurement.phase[5], "slow messages do not fall on the same tick"
+    assert measurement.message_count == 8
+    assert len({int(measurement.phase[index]) for index in (2, 3, 6, 7)}) == 4, (
+        "slow messages do not fall on the same tick"
+    )
 
 
 def test_tables_cannot_be_written():
@@ -215,7 +226,7 @@ def test_more_axes_made_for_it(tmp_path):
     path = tmp_path / "many.dbc"
     path.write_text(contract.make_axes().with_axes(contract.DBC.read_text(), 12))
     command, measurement = signals.load_signals(path, signals.default_mapping(12))
-    assert command.can_id[11] == 0x20C and measurement.message_count == 36
+    assert command.can_id[11] == 0x20C and measurement.message_count == 48
 
 
 def test_mappings_come_from_toml():

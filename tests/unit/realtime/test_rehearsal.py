@@ -128,3 +128,4 @@ def test_the_shadow_owns_everything_a_period_writes(parts):
     constant = {"config", "plant", "command_table", "measurement_table", "wave", "stimulus"}
     assert shared == scratch | constant
     assert not np.shares_memory(shadow.ring.frame_count, armed.bench.ring.frame_count)
+    assert not np.shares_memory(shadow.ring.clamped_count, armed.bench.ring.clamped_count)
