@@ -14,7 +14,10 @@ from hilrunner.setup.host_can import FrameTraffic, bus_load_ratio
 _EXTENDED = 1 << 31
 _ID_MASK = (1 << 29) - 1
 _FD = 1
-_GROWTH_MAX = 1 << 22  # a count or stamp further than this beyond all before it is damage, not data
+_SECONDS_MAX = 1 << 20  # twelve days: a stamp later than that is damage, not data
+_IDS_MAX = 4096  # identifiers told one by one; a babbling node can send all 2**29
+_LENGTHS = np.array([0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64], np.uint8)  # ISO 11898-1
+OTHER_IDS = "others"
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,8 @@ class BusTally:
         self._start_ns: int | None = None
         self._end_ns = 0
         self._kinds: dict[int, np.ndarray] = {}  # kind of frame -> frames in each second
-        self._stamps = {"received": np.zeros(0, np.int64), "sent": np.zeros(0, np.int64)}
+        self._others = {"received": 0, "sent": 0}
+        self._stamps: dict[str, list[np.ndarray]] = {"received": [], "sent": []}  # int64[n, 2]: tick, stamp
 
     def __call__(self, topic: str, rows: np.ndarray) -> None:
         """Count one batch."""
@@ -53,7 +57,9 @@ class BusTally:
         self._counts[direction] += len(rows)
         ids, counts = np.unique(rows["can_id"], return_counts=True)
         for can_id, count in zip((ids & _ID_MASK).tolist(), counts.tolist(), strict=True):
-            self._by_id.setdefault(can_id, {"received": 0, "sent": 0})[direction] += count
+            known = can_id in self._by_id or len(self._by_id) < _IDS_MAX
+            of_id = self._by_id.setdefault(can_id, {"received": 0, "sent": 0}) if known else self._others
+            of_id[direction] += count
         self._count_seconds(rows)
         answered = rows["kernel_real_ns"] > 0
         if direction == "received":
@@ -69,11 +75,14 @@ class BusTally:
             if code != status.FRAME_VALID and self._outcomes[code]
         }
         load = self._load(bitrate)
+        by_id = {f"{can_id:#05x}": self._by_id[can_id] for can_id in sorted(self._by_id)}
+        if any(self._others.values()):
+            by_id[OTHER_IDS] = self._others
         return BusUse(
             received_count=self._counts["received"],
             sent_count=self._counts["sent"],
             rejected=rejected,
-            by_id={f"{can_id:#05x}": self._by_id[can_id] for can_id in sorted(self._by_id)},
+            by_id=by_id,
             bitrate=bitrate,
             load_ratio_mean=float(load.mean()) if len(load) else 0.0,
             load_ratio_max=float(load.max()) if len(load) else 0.0,
@@ -82,10 +91,11 @@ class BusTally:
 
     def responses_ns(self, first_tick: int) -> np.ndarray:
         """From the stamp of the newest valid command of a tick to the last answer sent in it, int64; both must carry one."""
-        received, sent = self._stamps["received"], self._stamps["sent"]
-        count = min(len(received), len(sent))
-        received, sent = received[first_tick:count], sent[first_tick:count]
-        values = (sent - received)[(received > 0) & (sent > 0)]
+        if not self._stamps["received"] or not self._stamps["sent"]:
+            return np.zeros(0, np.int64)
+        received, sent = (_newest(np.concatenate(self._stamps[name])) for name in ("received", "sent"))
+        _, at_received, at_sent = np.intersect1d(received[:, 0], sent[:, 0], assume_unique=True, return_indices=True)
+        values = (sent[at_sent, 1] - received[at_received, 1])[received[at_received, 0] >= first_tick]
         return values[values >= 0]
 
     def _count_seconds(self, rows: np.ndarray) -> None:
@@ -94,26 +104,20 @@ class BusTally:
             self._start_ns = int(times.min())
         self._end_ns = max(self._end_ns, int(times.max()))
         second = np.maximum(times - self._start_ns, 0) // NS_PER_S
-        kinds = rows["length"].astype(np.int32)
+        kinds = _LENGTHS[np.minimum(np.searchsorted(_LENGTHS, rows["length"]), len(_LENGTHS) - 1)].astype(np.int32)
         kinds |= (rows["can_id"] >= _EXTENDED).astype(np.int32) << 8
         kinds |= (rows["flags"] & _FD).astype(np.int32) << 9
         for kind in np.unique(kinds).tolist():
             at = second[kinds == kind]
-            before = self._kinds.get(kind, np.zeros(0, np.int64))
-            at = at[at < len(before) + _GROWTH_MAX]
-            counts = np.bincount(at, minlength=len(before))
-            counts[: len(before)] += before
-            self._kinds[kind] = counts
+            counts = np.bincount(at[at < _SECONDS_MAX]).astype(np.uint32)
+            before = self._kinds.get(kind, np.zeros(0, np.uint32))
+            short, long = sorted((counts, before), key=len)
+            long[: len(short)] += short
+            self._kinds[kind] = long
 
     def _keep_stamps(self, direction: str, tick: np.ndarray, stamp: np.ndarray) -> None:
-        kept = self._stamps[direction]
-        near = tick < len(kept) + _GROWTH_MAX
-        tick, stamp = tick[near].astype(np.int64), stamp[near]
-        if len(tick) and int(tick.max()) >= len(kept):
-            grown = np.zeros(int(tick.max() * 1.5) + 1024, np.int64)
-            grown[: len(kept)] = kept
-            kept = self._stamps[direction] = grown
-        kept[tick] = stamp  # the last of a tick stays
+        if len(tick):
+            self._stamps[direction].append(_newest(np.column_stack((tick.astype(np.int64), stamp))))
 
     def _load(self, bitrate: int) -> np.ndarray:
         if bitrate <= 0 or self._start_ns is None:
@@ -125,3 +129,10 @@ class BusTally:
             part = counts[: len(load)] * bus_load_ratio([frame], bitrate)
             load[: len(part)] += part
         return load
+
+
+def _newest(pairs: np.ndarray) -> np.ndarray:
+    """Rows (tick, stamp) in order of tick, of each tick the last that came."""
+    if np.any(pairs[1:, 0] < pairs[:-1, 0]):
+        pairs = pairs[np.argsort(pairs[:, 0], kind="stable")]
+    return pairs[np.append(pairs[1:, 0] != pairs[:-1, 0], True)]

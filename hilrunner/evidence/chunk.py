@@ -9,10 +9,11 @@ import numpy as np
 import zstandard
 
 from hilrunner.evidence import mcap_walk
+from hilrunner.evidence.budget import CHUNK_BYTES_MAX
 
 _HEAD = struct.Struct("<QQQII")  # start time, end time, uncompressed size, uncompressed crc, length of compression name
-_FEED_BYTES = 4096
-_LARGEST_CHUNK_BYTES = 1 << 30  # a larger claim is damage, not a chunk
+_FEED_BYTES = 512  # of a damaged chunk at a time: so few can unpack to no more than 16 MB
+_LARGEST_WINDOW_BYTES = 1 << 27  # of a Zstandard frame: what the library's own decompressor allows
 _LZ4_MAGIC = 0x184D2204
 
 
@@ -40,8 +41,14 @@ def read_chunk(data: bytes | memoryview, is_cut: bool) -> Chunk:
     name = bytes(data[_HEAD.size : _HEAD.size + name_size]).decode("utf-8", "replace")
     (packed_size,) = struct.unpack_from("<Q", data, start - 8)
     packed = data[start : start + packed_size]
-    if size > _LARGEST_CHUNK_BYTES or (not is_cut and len(packed) < packed_size):
+    if not is_cut and len(packed) < packed_size:
         return Chunk(b"", "chunk header damaged")
+    if size > CHUNK_BYTES_MAX:
+        return Chunk(
+            b"",
+            f"chunk header damaged: it claims {size} bytes, allowed: {CHUNK_BYTES_MAX}; remedy: if another tool wrote "
+            "this file, write it again with smaller chunks",
+        )
     if name not in ("", "zstd", "lz4"):
         return Chunk(b"", f"chunk compressed with '{name}', which this version cannot read")
     content = bytes(packed) if name == "" else b"" if is_cut else _unpack(name, packed, size)
@@ -57,11 +64,19 @@ def read_chunk(data: bytes | memoryview, is_cut: bool) -> Chunk:
 
 
 def _unpack(name: str, packed, size: int) -> bytes:
+    """The whole content, `size` bytes as the header promises; anything else, and a claim beyond, gives nothing here."""
     try:
         if name == "zstd":
-            return zstandard.ZstdDecompressor().decompress(bytes(packed), max_output_size=size)
-        return lz4.frame.decompress(packed)
-    except (zstandard.ZstdError, RuntimeError, ValueError, MemoryError):
+            # a frame tells its own size, and the library takes that much memory, whatever it is asked for
+            told = zstandard.frame_content_size(packed)
+            if told > size:
+                return b""
+            unpacker = zstandard.ZstdDecompressor(max_window_size=_LARGEST_WINDOW_BYTES)
+            return unpacker.decompress(bytes(packed), max_output_size=size)
+        unpacker = lz4.frame.LZ4FrameDecompressor()
+        content = unpacker.decompress(packed, max_length=size + 1)
+        return content if unpacker.eof else b""
+    except (zstandard.ZstdError, RuntimeError, ValueError, EOFError, MemoryError):
         return b""
 
 
@@ -73,14 +88,15 @@ def _unpack_partly(name: str, packed, size: int) -> bytes:
 
 def _unpack_zstd_partly(packed, size: int) -> bytes:
     """Whole blocks before the cut or damage; a Zstandard block cannot be decoded in part."""
-    parts = []
-    stream = zstandard.ZstdDecompressor().decompressobj()
+    parts, count = [], 0
+    stream = zstandard.ZstdDecompressor(max_window_size=_LARGEST_WINDOW_BYTES).decompressobj()
     try:
         for start in range(0, len(packed), _FEED_BYTES):
             parts.append(stream.decompress(bytes(packed[start : start + _FEED_BYTES])))
-            if stream.eof:
+            count += len(parts[-1])
+            if stream.eof or count >= size:
                 break
-    except zstandard.ZstdError:
+    except (zstandard.ZstdError, MemoryError):
         pass
     return b"".join(parts)[:size]
 

@@ -16,6 +16,11 @@ from hilrunner.setup.profile import Profile, parse_profile
 PROFILE_ATTACHMENT = "profile.toml"
 _NS_PER_MS = 1_000_000
 DEFAULT_PERIOD_NS = _NS_PER_MS
+# what a run can have, as setup.profile bounds it; a period of a later version may be shorter
+_PERIOD_NS = (NS_PER_US, 1_000_000 * NS_PER_US)
+_WARM_UP_TICKS = (0, 1_000_000)
+_BITRATE = (0, 100_000_000)
+_ROWS_MAX = 1000
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,7 @@ def read_facts(run: Run, miss_count: int = 0) -> RunFacts:
     profile = _profile(run, notes)
     period_ns = _period_ns(run, table, profile, notes)
     warm_up = profile.bench.warm_up_ticks if profile else 0
-    warm_up = _number(table.get("warm_up_ticks"), warm_up)
+    warm_up = _number(table.get("warm_up_ticks"), warm_up, _WARM_UP_TICKS, "warm_up_ticks", notes)
     label, reasons, findings, grants = _mode(run.metadata.get("host", {}), miss_count, notes)
     exit_reason = table.get("exit_reason", "")
     if not exit_reason:
@@ -62,7 +67,13 @@ def read_facts(run: Run, miss_count: int = 0) -> RunFacts:
         profile_name=table.get("profile_name") or table.get("profile") or (profile.name if profile else "unknown"),
         period_ns=period_ns,
         warm_up_ticks=warm_up,
-        bitrate=_number(table.get("can_bitrate") or table.get("bitrate"), profile.can.bitrate if profile else 0),
+        bitrate=_number(
+            table.get("can_bitrate") or table.get("bitrate"),
+            profile.can.bitrate if profile else 0,
+            _BITRATE,
+            "bitrate",
+            notes,
+        ),
         exit_reason=exit_reason or "unknown",
         mode_label=label,
         mode_reasons=tuple(reasons),
@@ -93,12 +104,13 @@ def _limits(run: Run, profile: Profile | None) -> dict[str, float]:
     try:
         table = tomllib.loads(run.attachments[PROFILE_ATTACHMENT].text).get("limits", {})
         return {key: float(value) for key, value in table.items()}
-    except (KeyError, tomllib.TOMLDecodeError, TypeError, ValueError, AttributeError):
+    except (KeyError, tomllib.TOMLDecodeError, TypeError, ValueError, AttributeError, OverflowError, RecursionError):
         return {}
 
 
 def _period_ns(run: Run, table: dict[str, str], profile: Profile | None, notes: list[str]) -> int:
-    told = _number(table.get("period_ns"), profile.bench.period_us * NS_PER_US if profile else 0)
+    of_profile = profile.bench.period_us * NS_PER_US if profile else 0
+    told = _number(table.get("period_ns"), of_profile, _PERIOD_NS, "period_ns", notes)
     ticks = run.tick
     if told or len(ticks) < 2:
         return told or DEFAULT_PERIOD_NS
@@ -106,7 +118,13 @@ def _period_ns(run: Run, table: dict[str, str], profile: Profile | None, notes: 
     spans = np.diff(ticks["deadline_mono_ns"][:1000])
     measured = spans[steps > 0] / steps[steps > 0]
     notes.append("the period is measured from the ticks")
-    return int(round(float(np.median(measured)))) if len(measured) else DEFAULT_PERIOD_NS
+    period_ns = int(round(float(np.median(measured)))) if len(measured) else DEFAULT_PERIOD_NS
+    if not _PERIOD_NS[0] <= period_ns <= _PERIOD_NS[1]:
+        notes.append(
+            f"the deadlines of the ticks are {period_ns} ns apart, which is no period: times are not to be trusted"
+        )
+        return DEFAULT_PERIOD_NS
+    return period_ns
 
 
 def _mode(table: dict[str, str], miss_count: int, notes: list[str]) -> tuple[str, list[str], list, list]:
@@ -128,15 +146,24 @@ def _rows(text: str | None, keys: tuple[str, ...], notes: list[str]) -> list[dic
     if not text:
         return []
     try:
-        rows = json.loads(text)
-        return [{key: row[key] for key in keys} for row in rows]
-    except (ValueError, KeyError, TypeError):
+        rows = json.loads(text)[:_ROWS_MAX]
+        return [{key: _plain(row[key]) for key in keys} for row in rows]
+    except (ValueError, KeyError, TypeError, RecursionError):
         notes.append("a table of host findings in the log cannot be read")
         return []
 
 
-def _number(text, default: int) -> int:
+def _plain(value) -> str | bool:
+    return value if isinstance(value, bool) else str(value)
+
+
+def _number(text, default: int, allowed: tuple[int, int], key: str, notes: list[str]) -> int:
+    """A whole number of the table `run`; one that no run can have is told and not used."""
     try:
-        return int(text)
+        number = int(text)
     except (TypeError, ValueError):
         return default
+    if not allowed[0] <= number <= allowed[1]:
+        notes.append(f"{key} {number} in the log is not one of a run ({allowed[0]} to {allowed[1]}): {default} is used")
+        return default
+    return number

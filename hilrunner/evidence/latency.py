@@ -9,8 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilrunner.base import histogram_scale, records, status
+from hilrunner.base.errors import LogError
 from hilrunner.base.histogram_scale import PERCENTILE_RATIOS
 from hilrunner.base.records import HISTOGRAM_NAMES, TICK_FLAG_MISS
+from hilrunner.evidence.budget import SKIPPED_PERIODS_MAX
 from hilrunner.evidence.facts import RunFacts
 from hilrunner.evidence.reader import Run
 from hilrunner.record.statistics import HISTOGRAM_ATTACHMENT
@@ -111,6 +113,7 @@ def measure_latency(run: Run, facts: RunFacts, responses_ns: np.ndarray) -> Late
         if len(values_ns):
             distributions[name] = distribution(name, values_ns, "ticks")
 
+    _check_skipped(run, int(kept["skipped_count"].sum(dtype=np.int64)))
     add("wake_lateness", _with_skipped(wake_lateness, kept["skipped_count"], facts.period_ns))
     for name in ("receive", "decode", "step", "encode", "record"):
         add(name, kept[f"{name}_ns"])
@@ -172,10 +175,23 @@ def _with_skipped(wake_lateness: np.ndarray, skipped: np.ndarray, period_ns: int
     if not len(late):
         return wake_lateness
     counts = skipped[late].astype(np.int64)
-    starts = np.repeat(wake_lateness[late], counts)
-    firsts = np.repeat(np.cumsum(counts) - counts, counts)
-    order = np.arange(len(starts)) - firsts + 1
-    return np.concatenate([wake_lateness, starts + order * period_ns])
+    # each sample is a period more than the one before it, but the first behind a tick, which starts anew
+    samples = np.full(int(counts.sum()), period_ns, np.int64)
+    samples[0] += wake_lateness[late[0]]
+    ends = np.cumsum(counts)[:-1]
+    samples[ends] += wake_lateness[late[1:]] - wake_lateness[late[:-1]] - counts[:-1] * period_ns
+    return np.concatenate([wake_lateness, np.cumsum(samples, out=samples)])
+
+
+def _check_skipped(run: Run, skipped_count: int) -> None:
+    """A count of skipped periods that no run can have would be as many samples."""
+    if skipped_count > SKIPPED_PERIODS_MAX:
+        raise LogError(
+            str(run.path),
+            f"/rt/tick tells of {skipped_count} skipped periods",
+            f"{SKIPPED_PERIODS_MAX}",
+            "the field skipped_count is damaged, or the host slept for hours: run again",
+        )
 
 
 def _command_ages(run: Run, facts: RunFacts) -> np.ndarray:
@@ -195,12 +211,13 @@ def _from_attachment(run: Run, name: str) -> Distribution | None:
         known = (scale["sub_bucket_bits"], scale["value_bits"])
         if known != (histogram_scale.SUB_BUCKET_BITS, histogram_scale.VALUE_BITS):
             return None
-        row, extreme = np.zeros(histogram_scale.BUCKET_COUNT, np.int64), np.array(table[name]["extreme"], np.int64)
+        row = np.zeros(histogram_scale.BUCKET_COUNT, np.int64)
+        extreme = np.array(table[name]["extreme"], np.int64).reshape(4)
         buckets = np.array(table[name]["buckets"], np.int64).reshape(-1, 2)
         row[buckets[:, 0]] = buckets[:, 1]
-    except (AttributeError, ValueError, KeyError, TypeError, IndexError):
+    except (AttributeError, ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError):
         return None
-    if not row.any():
+    if not row.any() or row.min() < 0 or buckets[:, 0].min() < 0 or extreme.min() < 0:
         return None
     values = histogram_scale.percentiles(row, extreme)
     return Distribution(name, int(row.sum()), values, histogram_scale.mean_ns(extreme), row, extreme, _LOOP)

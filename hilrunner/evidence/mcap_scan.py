@@ -4,6 +4,8 @@ The file is read in windows; runs of messages are noted by the compiled walk, al
 chunks are unpacked into a batch, so that Python works per batch and not per message. Memory: one window and one batch.
 """
 
+import os
+import stat
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -14,10 +16,11 @@ import numpy as np
 
 from hilrunner.base.errors import LogError
 from hilrunner.evidence import mcap_walk
+from hilrunner.evidence.budget import DAMAGED_PLACES_MAX, RECORD_BYTES_MAX, Budget
 from hilrunner.evidence.chunk import read_chunk
 from hilrunner.evidence.damaged import DamagedLogError
 from hilrunner.evidence.mcap_ending import MAGIC, check_ending, looks_ended
-from hilrunner.evidence.mcap_window import Window
+from hilrunner.evidence.mcap_window import HUGE, Window
 from hilrunner.record import seal
 
 BATCH_BYTES = 8 << 20
@@ -78,6 +81,7 @@ class Scanner:
     def __init__(self, path: str | Path, on_batch: Batch) -> None:
         self.path = Path(path)
         self.contents = Contents()
+        self.budget = Budget(str(self.path), 0)
         self._on_batch = on_batch
         self._messages = np.zeros(BATCH_MESSAGES, mcap_walk.MESSAGE)
         self._batch = np.empty(BATCH_BYTES, np.uint8)
@@ -85,11 +89,13 @@ class Scanner:
         self._window: Window | None = None
         self._ended = False  # the file has an end: what does not parse before it is damage, not a cut
         self._segments: list[tuple[int, int, int]] = []  # start, end in the batch; offset of the chunk in the file
+        self._damaged_places = 0
 
     def run(self) -> Contents:
         """See `scan`."""
         try:
-            with open(self.path, "rb", buffering=0) as file:
+            with open(self.path, "rb", buffering=0, opener=_open_at_once) as file:
+                self._check_kind(file)
                 self._check_magic(file)
                 self._scan(file)
         except OSError as error:
@@ -102,6 +108,12 @@ class Scanner:
         if self._window is None or not self._window.size:
             return 1.0
         return self._window.file_offset / self._window.size
+
+    def _check_kind(self, file) -> None:
+        found = os.fstat(file.fileno())
+        if not stat.S_ISREG(found.st_mode):
+            raise LogError(str(self.path), "no regular file, so it has no end", "an MCAP log", "name a log")
+        self.budget = Budget(str(self.path), found.st_size)
 
     def _check_magic(self, file) -> None:
         head = file.read(len(MAGIC))
@@ -124,7 +136,14 @@ class Scanner:
             place = window.file_offset
             buffer, start, end, size = window.view_record()
             opcode = int(buffer[start])
-            if size < 0:  # the record, or its header, reaches past the end of the file
+            if size == HUGE:
+                self.contents.harm(
+                    f"damaged at byte {place}: a record of more than {RECORD_BYTES_MAX} bytes begins there, "
+                    "and no bench writes one"
+                )
+                if not self._resume(window, place):
+                    break
+            elif size < 0:  # the record, or its header, reaches past the end of the file
                 self._take_cut(buffer, start, end, place)
                 if not self._resume(window, place):
                     break
@@ -138,6 +157,7 @@ class Scanner:
                 if not self._skip_damage(window, place):
                     break
             else:
+                self.budget.look_at()
                 content = memoryview(buffer)[start + mcap_walk.RECORD_HEADER_BYTES : start + size]
                 self._take_record(opcode, content, False, place)
                 if opcode == mcap_walk.OPCODE_DATA_END:
@@ -186,7 +206,13 @@ class Scanner:
         return self._resume(window, place)
 
     def _resume(self, window: "Window", place: int) -> bool:
-        """Go on at the next chunk that can be recognised; False when there is none."""
+        """Go on at the next chunk that can be recognised; False when there is none, or too much is damaged."""
+        self._damaged_places += 1
+        if self._damaged_places > DAMAGED_PLACES_MAX:
+            self.contents.note(
+                f"more than {DAMAGED_PLACES_MAX} places are damaged: nothing behind byte {place} is read"
+            )
+            return False
         found = window.find_chunk(place + 1)
         if found < 0:
             return False
@@ -207,7 +233,7 @@ class Scanner:
             if opcode == seal.OPCODE:
                 self._check_seal(data, place)
             else:
-                _take_definition(self.contents, opcode, data)
+                _take_definition(self.contents, opcode, data, self.budget)
         except (struct.error, UnicodeDecodeError, ValueError):
             self.contents.harm(f"a record (opcode {opcode}) at byte {place} is damaged and was left out")
 
@@ -223,6 +249,7 @@ class Scanner:
         elif chunk.damage:
             self.contents.harm(f"at byte {place}: {chunk.damage}")
         size = len(chunk.content)
+        self.budget.unpack(size)
         if self._batch_size + size > len(self._batch):
             self._flush()
             if size > len(self._batch):
@@ -263,26 +290,39 @@ class Scanner:
         content = position + mcap_walk.RECORD_HEADER_BYTES
         if length > end - content or opcode == mcap_walk.OPCODE_MESSAGE or opcode == 0:
             return end, count
+        self.budget.look_at()
         try:
-            _take_definition(self.contents, opcode, memoryview(self._batch)[content : content + length])
+            _take_definition(self.contents, opcode, memoryview(self._batch)[content : content + length], self.budget)
         except (struct.error, UnicodeDecodeError, ValueError):
             self.contents.harm("a record inside a chunk is damaged and was left out")
         return content + length, count
 
 
-def _take_definition(contents: Contents, opcode: int, data: memoryview) -> None:
+def _open_at_once(path: str, flags: int) -> int:
+    """A pipe without a writer is opened without waiting for one, so that it can be refused."""
+    return os.open(path, flags | os.O_NONBLOCK)
+
+
+def _take_definition(contents: Contents, opcode: int, data: memoryview, budget: Budget) -> None:
     """Schemas, channels, metadata, attachments and the header; any other record is passed over."""
     if opcode == mcap_walk.OPCODE_SCHEMA:
         (number,) = struct.unpack_from("<H", data)
         name, place = _text(data, 2)
         encoding, place = _text(data, place)
         (size,) = struct.unpack_from("<I", data, place)
-        contents.schemas[number] = (name, encoding, bytes(data[place + 4 : place + 4 + size]).decode("utf-8"))
+        schema = (name, encoding, bytes(data[place + 4 : place + 4 + size]).decode("utf-8"))
+        if contents.schemas.get(number) != schema:  # some writers repeat them in every chunk
+            budget.describe(len(data))
+            contents.schemas[number] = schema
     elif opcode == mcap_walk.OPCODE_CHANNEL:
-        number, schema = struct.unpack_from("<HH", data)
+        number, schema_id = struct.unpack_from("<HH", data)
         topic, place = _text(data, 4)
-        contents.channels[number] = (topic, schema, _text(data, place)[0])
+        channel = (topic, schema_id, _text(data, place)[0])
+        if contents.channels.get(number) != channel:
+            budget.describe(len(data))
+            contents.channels[number] = channel
     elif opcode == mcap_walk.OPCODE_METADATA:
+        budget.describe(len(data))
         name, place = _text(data, 0)
         contents.metadata.setdefault(name, {}).update(_text_map(data, place))
     elif opcode == mcap_walk.OPCODE_ATTACHMENT:
@@ -291,6 +331,7 @@ def _take_definition(contents: Contents, opcode: int, data: memoryview) -> None:
         (size,) = _U64.unpack_from(data, place)
         if size > len(data) - place - 8:
             raise ValueError("attachment longer than its record")
+        budget.attach(size)
         contents.attachments[name] = (media_type, bytes(data[place + 8 : place + 8 + size]))
         (crc,) = struct.unpack_from("<I", data, place + 8 + size)
         if (crc or contents.is_own) and zlib.crc32(data[: place + 8 + size]) != crc:

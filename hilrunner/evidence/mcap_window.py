@@ -6,7 +6,9 @@ import zlib
 import numpy as np
 
 from hilrunner.evidence import mcap_walk
+from hilrunner.evidence.budget import RECORD_BYTES_MAX
 
+CUT, HUGE = -1, -2
 WINDOW_BYTES = 8 << 20
 _SEARCH_BYTES = 1 << 20
 _CHUNK_NAMES = (b"\x04\x00\x00\x00zstd", b"\x03\x00\x00\x00lz4")
@@ -25,10 +27,10 @@ class Window:
         self._file = file
         self.size = file.seek(0, 2)
         self._buffer = np.empty(WINDOW_BYTES, np.uint8)
+        self._start = self._end = 0
+        self.file_offset = offset
         file.seek(0)
-        before = file.read(offset)
-        self.move_to(offset)
-        self.crc: int | None = zlib.crc32(before)
+        self.crc: int | None = zlib.crc32(file.read(offset))
 
     @property
     def remaining(self) -> int:
@@ -36,11 +38,13 @@ class Window:
         return self.size - self.file_offset
 
     def move_to(self, offset: int) -> None:
-        """Go on reading at `offset`."""
+        """Go on reading at `offset`; what the window holds of it already is not read again."""
         self.crc = None
-        self._file.seek(offset)
-        self._start = 0
-        self._end = 0
+        held = self._start + offset - self.file_offset
+        if self._start <= held <= self._end:
+            self._start = held
+        else:
+            self._start = self._end = 0
         self.file_offset = offset
 
     def consume(self, count: int) -> None:
@@ -51,15 +55,17 @@ class Window:
         self.file_offset += count
 
     def view_record(self) -> tuple[np.ndarray, int, int, int]:
-        """(buffer, start, end, size of the record at `start`); size -1: the file ends before the record does."""
+        """(buffer, start, end, size of the record at `start`); size CUT: the file ends before it does, HUGE: no record is so long."""
         header = mcap_walk.RECORD_HEADER_BYTES
         self._need(header)
         if self.remaining < header:
-            return self._buffer, self._start, self._end, -1
+            return self._buffer, self._start, self._end, CUT
         (length,) = _U64.unpack_from(self._buffer[self._start + 1 : self._start + header].tobytes())
         if length > self.remaining - header:
             self._need(min(self.remaining, _LARGEST_CUT_BYTES))
-            return self._buffer, self._start, self._end, -1
+            return self._buffer, self._start, self._end, CUT
+        if length > RECORD_BYTES_MAX:
+            return self._buffer, self._start, self._end, HUGE
         self._need(header + length)
         return self._buffer, self._start, self._end, header + length
 
@@ -117,6 +123,7 @@ class Window:
             self._buffer = np.empty(least, np.uint8)
         self._buffer[: len(kept)] = kept
         self._start, self._end = 0, len(kept)
+        self._file.seek(self.file_offset + self._end)
         while self._end < len(self._buffer):
             count = self._file.readinto(memoryview(self._buffer)[self._end :])
             if not count:

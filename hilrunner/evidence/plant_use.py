@@ -126,15 +126,15 @@ def settling_times_ms(tick, valve, speed_mmps, period_ns: int, limit_mmps: float
     for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
         if not neutral[start]:
             continue
-        moved = start > 0 and np.abs(valve[moved_until:start]).max(initial=0.0) > MOVED_COMMAND
         length_s = (int(tick[stop - 1]) - int(tick[start])) * period_ns * 1e-9
-        if length_s >= STOP_S_MIN and moved:
+        if length_s < STOP_S_MIN:  # a chattering command has very many of these: nothing may be searched for them
+            continue
+        if start > 0 and np.abs(valve[moved_until:start]).max(initial=0.0) > MOVED_COMMAND:
             fast = np.flatnonzero(np.abs(speed_mmps[start:stop]) > limit_mmps)
             last = start + fast[-1] if len(fast) else start
             settled = not len(fast) or fast[-1] < stop - start - 1
             rows.append(((int(tick[last]) - int(tick[start])) * period_ns / NS_PER_MS, float(settled)))
-        if length_s >= STOP_S_MIN:
-            moved_until = stop
+        moved_until = stop
     return np.array(rows).reshape(-1, 2)
 
 

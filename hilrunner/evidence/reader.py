@@ -10,7 +10,7 @@
 import fnmatch
 import re
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -19,13 +19,18 @@ import numpy as np
 from hilrunner.base import records
 from hilrunner.base.errors import LogError
 from hilrunner.evidence import mcap_walk, schema
+from hilrunner.evidence.budget import AXES_MAX, OWN_CHANNELS_MAX, Budget
 from hilrunner.evidence.damaged import DamagedLogError, hash_mismatches
 from hilrunner.evidence.mcap_scan import Contents, Scanner
 
 _SPARE_ROWS = 1024
 _SPARE_RATIO = 1.05
 _LARGEST_GROWTH = 4096.0
-_EVENTS_MAX = 10_000
+_EVENTS_MAX, _EVENT_CHARACTERS_MAX = 10_000, 2000
+_CHANNELS = 1 << 16  # a channel's number has two bytes
+_UNKNOWN, _FOREIGN, _OWN, _EVENTS = 0, 1, 2, 3
+_FEW_CHANNELS = 64
+_CAN_DATA_BYTES_MAX = 64
 
 Columns = dict[str, tuple[str, ...] | None]  # topic pattern -> fields to keep, None: all
 Consumer = Callable[[str, np.ndarray], None]  # (topic, rows); the rows are valid during the call only
@@ -134,7 +139,7 @@ def read_run(path: str | Path, columns: Columns | None = None, consumers: dict[s
     collector = _Collector(columns, consumers or {})
     scanner = Scanner(path, collector.take)
     collector.contents = scanner.contents
-    collector.read_ratio = scanner.read_ratio
+    collector.scanner = scanner
     contents = scanner.run()
     collector.note_damage()
     for text in hash_mismatches(contents.metadata, {name: data for name, (_, data) in contents.attachments.items()}):
@@ -188,12 +193,11 @@ class _Topic:
         self._consumer = consumer
         self._array = np.zeros(0, keep)
 
-    def take(self, buffer: np.ndarray, messages: np.ndarray, channel: int, count: int, read_ratio: float) -> None:
+    def take(
+        self, buffer: np.ndarray, messages: np.ndarray, channel: int, count: int, read_ratio: float, budget: Budget
+    ) -> None:
         """Take the `count` messages of `channel`; `read_ratio` of the file (0..1) has been read."""
-        start = 0 if self._consumer else self.count
-        if start + count > len(self._array):
-            self._grow(start, count, 1.0 if self._consumer else read_ratio)
-        rows = self._array[start : start + count]
+        rows = self._room(count, read_ratio, budget)
         for name in self.missing if "unused" not in rows.dtype.names else ("unused", *self.missing):
             rows[name] = 0
         target = rows.view("u1").reshape(count, rows.dtype.itemsize)
@@ -210,11 +214,19 @@ class _Topic:
             return rows[np.argsort(rows["tick"], kind="stable")]  # written in order of time by another tool
         return rows
 
-    def _grow(self, kept: int, count: int, read_ratio: float) -> None:
-        expected = (kept + count) * min(_SPARE_RATIO / max(read_ratio, 1e-9), _LARGEST_GROWTH)
-        grown = np.empty(int(expected) + _SPARE_ROWS, self._array.dtype)
-        grown[:kept] = self._array[:kept]
-        self._array = grown
+    def _room(self, count: int, read_ratio: float, budget: Budget) -> np.ndarray:
+        """Rows for `count` messages: a consumer's are its own only during its call."""
+        if self._consumer:
+            return np.empty(count, self._array.dtype)
+        budget.keep(count * self._array.dtype.itemsize)
+        kept, least = self.count, self.count + count
+        if least > len(self._array):
+            expected = least * min(_SPARE_RATIO / max(read_ratio, 1e-9), _LARGEST_GROWTH) + _SPARE_ROWS
+            most = least + budget.keepable_bytes // self._array.dtype.itemsize
+            grown = np.empty(int(min(expected, most)), self._array.dtype)
+            grown[:kept] = self._array[:kept]
+            self._array = grown
+        return self._array[kept:least]
 
 
 class _Collector:
@@ -222,38 +234,53 @@ class _Collector:
 
     def __init__(self, columns: Columns | None, consumers: dict[str, Consumer]) -> None:
         self.contents = Contents()
-        self.read_ratio = lambda: 1.0
+        self.scanner: Scanner | None = None
         self._columns = columns
         self._consumers = consumers
-        self._buffers: dict[int, _Topic | None] = {}
+        self._buffers: dict[int, _Topic] = {}
+        self._kind = np.full(_CHANNELS, _UNKNOWN, np.uint8)  # of each channel
         self.own_topics: set[str] = set()
         self.foreign: set[str] = set()
         self.start_publish_ns = 0
         self.first_log_ns = 0
         self._unknown_channels = 0
-        self._event_channels: set[int] = set()
         self.events: list[Event] = []
 
     def take(self, buffer: np.ndarray, messages: np.ndarray) -> None:
         """One batch, see mcap_scan."""
-        channels, counts = np.unique(messages["channel"], return_counts=True)
         if not self.first_log_ns:
             self.first_log_ns = int(messages["log_time_ns"][0])
-        for channel, count in zip(channels.tolist(), counts.tolist(), strict=True):
-            if channel not in self._buffers:
-                if channel not in self.contents.channels:
-                    self._unknown_channels += count
-                    continue
-                self._buffers[channel] = self._open(channel)
-            target = self._buffers[channel]
-            if channel in self._event_channels:
-                self._take_events(buffer, messages[messages["channel"] == channel])
-            if target is None:
+        counts = np.bincount(messages["channel"], minlength=_CHANNELS)
+        channels = np.flatnonzero(counts)
+        for channel in channels[self._kind[channels] == _UNKNOWN].tolist():
+            self._know(channel, int(counts[channel]))
+        channels = channels[self._kind[channels] >= _OWN]
+        ratio, budget = self.scanner.read_ratio(), self.scanner.budget
+        for channel, part in _by_channel(messages, channels, counts):
+            if self._kind[channel] == _EVENTS:
+                self._take_events(buffer, part[part["channel"] == channel])
                 continue
+            target = self._buffers[channel]
             if target.topic == "/rt/tick" and not self.start_publish_ns:
-                first = np.flatnonzero(messages["channel"] == channel)[0]
-                self.start_publish_ns = int(messages["publish_time_ns"][first])
-            target.take(buffer, messages, channel, count, self.read_ratio())
+                first = np.flatnonzero(part["channel"] == channel)[0]
+                self.start_publish_ns = int(part["publish_time_ns"][first])
+            target.take(buffer, part, channel, int(counts[channel]), ratio, budget)
+
+    def _know(self, channel: int, count: int) -> None:
+        """Find out whose a channel is; one that the log has not defined (yet) stays unknown."""
+        if channel not in self.contents.channels:
+            self._unknown_channels += count
+            return
+        self._kind[channel], target = self._open(channel)
+        if target is not None:
+            self._buffers[channel] = target
+        if len(self._buffers) > OWN_CHANNELS_MAX:
+            raise LogError(
+                str(self.scanner.path),
+                f"more than {OWN_CHANNELS_MAX} channels hold topics of a bench",
+                f"{OWN_CHANNELS_MAX}; a bench of 32 axes has some 140",
+                "no bench writes this; ask where the file comes from",
+            )
 
     def _take_events(self, buffer: np.ndarray, messages: np.ndarray) -> None:
         for message in messages[: max(0, _EVENTS_MAX - len(self.events))]:
@@ -267,7 +294,7 @@ class _Collector:
         """Buffers with records, a topic once."""
         merged: dict[str, _Topic] = {}
         for target in self._buffers.values():
-            if target is not None and (target.topic not in merged or target.count > merged[target.topic].count):
+            if target.topic not in merged or target.count > merged[target.topic].count:
                 merged[target.topic] = target
         return list(merged.values())
 
@@ -276,33 +303,64 @@ class _Collector:
         if self._unknown_channels:
             self.contents.note(f"{self._unknown_channels} messages belong to no channel the log defines")
         for target in self._buffers.values():
-            if target is not None and target.other_size:
+            if target.other_size:
                 self.contents.note(f"{target.topic}: {target.other_size} messages have another size than their schema")
-            if target is not None and target.missing:
+            if target.missing:
                 names = ", ".join(target.missing)
                 self.contents.note(f"{target.topic}: written by another version, without {names}; read as 0")
 
-    def _open(self, channel: int) -> _Topic | None:
+    def _open(self, channel: int) -> tuple[int, _Topic | None]:
+        """(kind, who takes its messages)."""
         topic, schema_id, encoding = self.contents.channels[channel]
         schema_name, schema_encoding, text = self.contents.schemas.get(schema_id, ("", "", ""))
         if (schema_name, encoding) == ("rcl_interfaces/msg/Log", "cdr"):
-            self._event_channels.add(channel)
-            return None
+            return _EVENTS, None
         own = schema.own_layout(topic)
         wire = schema.layout_of(text) if (encoding, schema_encoding) == ("cdr", "ros2msg") else None
         if own is None or wire is None or not set(own.names[2:]) & set(wire.names):
             self.foreign.add(topic)
-            return None
-        self.own_topics.add(topic)
+            return _FOREIGN, None
         if topic in ("/can/rx", "/can/tx") and "data" in wire.names:
-            own = records.can_frame_record(wire["data"].shape[0] if wire["data"].shape else 1)
+            size = wire["data"].shape[0] if wire["data"].shape else 1
+            if not 1 <= size <= _CAN_DATA_BYTES_MAX:
+                self.foreign.add(topic)
+                return _FOREIGN, None
+            own = records.can_frame_record(size)
+        self._add_own(topic)
         consumer = next((one for pattern, one in self._consumers.items() if fnmatch.fnmatchcase(topic, pattern)), None)
         if self._columns is None:
-            return _Topic(topic, wire, own, consumer)
+            return _OWN, _Topic(topic, wire, own, consumer)
         for pattern, names in self._columns.items():
             if fnmatch.fnmatchcase(topic, pattern):
-                return _Topic(topic, wire, schema.select(own, names), consumer)
-        return None
+                return _OWN, _Topic(topic, wire, schema.select(own, names), consumer)
+        return _FOREIGN, None  # ours, and nobody asked for it
+
+    def _add_own(self, topic: str) -> None:
+        self.own_topics.add(topic)
+        axes = {name.split("/")[1] for name in self.own_topics} - {"rt", "can"}
+        if len(axes) > AXES_MAX:
+            raise LogError(
+                str(self.scanner.path),
+                f"topics of more than {AXES_MAX} axes",
+                "32 axes, as a profile may have",
+                "no bench writes this; ask where the file comes from",
+            )
+
+
+def _by_channel(messages: np.ndarray, channels: np.ndarray, counts: np.ndarray) -> Iterator[tuple[int, np.ndarray]]:
+    """(channel, messages in which its own are, in order). Where there are many, each gets its own only: one look at all
+    messages a channel would take minutes for a log of 65,000."""
+    if len(channels) <= _FEW_CHANNELS:
+        yield from ((channel, messages) for channel in channels.tolist())
+        return
+    wanted = np.zeros(_CHANNELS, bool)
+    wanted[channels] = True
+    messages = messages[wanted[messages["channel"]]]
+    messages = messages[np.argsort(messages["channel"].astype(np.uint16), kind="stable")]
+    end = 0
+    for channel in channels.tolist():
+        start, end = end, end + int(counts[channel])
+        yield channel, messages[start:end]
 
 
 def _event(data: bytes) -> Event:
@@ -316,4 +374,5 @@ def _event(data: bytes) -> Event:
             raise ValueError("text longer than its message")
         texts.append(data[place + 4 : place + 4 + size].rstrip(b"\0").decode("utf-8", "replace"))
         place += 4 + size
-    return Event(seconds * 1_000_000_000 + nanoseconds, level, texts[0], texts[1])
+    name, text = (one if len(one) <= _EVENT_CHARACTERS_MAX else one[:_EVENT_CHARACTERS_MAX] + "…" for one in texts)
+    return Event(seconds * 1_000_000_000 + nanoseconds, level, name, text)

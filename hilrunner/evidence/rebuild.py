@@ -1,5 +1,7 @@
 """The bench of a log, built again from what the log carries: profile, DBC and models unpacked to a folder of their own."""
 
+import io
+import math
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -9,6 +11,7 @@ import numpy as np
 
 from hilrunner.base import compiled, records, status
 from hilrunner.base.errors import LogError
+from hilrunner.evidence.budget import SKIPPED_PERIODS_MAX
 from hilrunner.evidence.facts import PROFILE_ATTACHMENT
 from hilrunner.evidence.reader import Run
 from hilrunner.realtime import faults as fault_kinds
@@ -59,8 +62,9 @@ def stimulus_of(run: Run, notes: list[str]) -> np.ndarray | None:
     ):
         return None
     last = max(int(rows["tick"][-1]) for rows in run.command.values() if len(rows))
-    if last > 1 << 31:
-        raise LogError(str(run.path), f"tick number {last} is damaged")
+    most = len(run.tick) + SKIPPED_PERIODS_MAX
+    if last >= most:
+        raise LogError(str(run.path), f"tick number {last} is damaged", f"{most} for a log of {len(run.tick)} ticks")
     stimulus = np.zeros((last + 1, len(axes)))
     for column, axis in enumerate(axes):
         rows = run.command[axis]
@@ -81,13 +85,12 @@ def known_stimulus(run: Run) -> np.ndarray | None:
 
 
 def _from_attachment(run: Run, data: bytes) -> np.ndarray:
-    with tempfile.TemporaryFile() as file:
-        file.write(data)
-        file.seek(0)
-        try:
-            stimulus = np.load(file, allow_pickle=False)
-        except (ValueError, OSError, EOFError, MemoryError) as error:
-            raise LogError(str(run.path), f"its stimulus cannot be read: {error}") from None
+    file = io.BytesIO(data)
+    try:
+        _check_claim(file, len(data))
+        stimulus = np.load(file, allow_pickle=False)
+    except (ValueError, OSError, EOFError, MemoryError, SyntaxError, TypeError, OverflowError, RecursionError) as error:
+        raise LogError(str(run.path), f"its stimulus cannot be read: {error}") from None
     if not isinstance(stimulus, np.ndarray) or len(stimulus.shape) != 2 or not len(stimulus):
         raise LogError(str(run.path), "its stimulus is no table of commands", f"(ticks, {len(run.axis_names)}) float64")
     if stimulus.ndim != 2 or stimulus.dtype != np.float64 or stimulus.shape[1] != max(len(run.axis_names), 1):
@@ -95,6 +98,17 @@ def _from_attachment(run: Run, data: bytes) -> np.ndarray:
             str(run.path), f"its stimulus has shape {stimulus.shape}", f"(ticks, {len(run.axis_names)}) float64"
         )
     return stimulus
+
+
+def _check_claim(file: io.BytesIO, size: int) -> None:
+    """ValueError when the head of a table promises another size than the attachment has: numpy would allocate it first."""
+    version = np.lib.format.read_magic(file)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, layout = read(file)
+    promised = math.prod(shape) * layout.itemsize
+    if promised != size - file.tell():
+        raise ValueError(f"{size - file.tell()} bytes for a table of {shape} {layout}, which takes {promised}")
+    file.seek(0)
 
 
 def spend_valve_faults(run: Run, faults: np.ndarray, notes: list[str]) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 from hilrunner.base import exit_codes
 from hilrunner.base.errors import LogError
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
+from hilrunner.evidence.budget import SKIPPED_REPLAYED_MAX
 from hilrunner.evidence.facts import RunFacts, read_facts
 from hilrunner.evidence.reader import Run, read_run
 from hilrunner.evidence.rebuild import engine_of, known_stimulus, unpacked_profile
@@ -67,6 +68,7 @@ def build_replay(path: str | Path, options: ReplayOptions, progress: Progress = 
         raise LogError(
             str(path), "holds no ticks with states, so there is nothing to replay", remedy="replay a log of `run`"
         )
+    _check_skipped(run)
     facts = read_facts(run)
     with unpacked_profile(run) as loaded:
         _check_axes(run, loaded)
@@ -87,6 +89,18 @@ def build_replay(path: str | Path, options: ReplayOptions, progress: Progress = 
             tolerance=loaded.profile.crosscheck,
             perturbed_load=any(axis.load.perturbation_std_ratio > 0 for axis in loaded.profile.axis),
             notes=(*facts.notes, *run.damage),
+        )
+
+
+def _check_skipped(run: Run) -> None:
+    """Skipped periods are computed too: a count that no run can have would keep the plant busy for days."""
+    count = int(run.tick["skipped_count"].sum(dtype=np.int64))
+    if count > SKIPPED_REPLAYED_MAX:
+        raise LogError(
+            str(run.path),
+            f"/rt/tick tells of {count} skipped periods, which a replay has to compute",
+            f"{SKIPPED_REPLAYED_MAX}",
+            "the field skipped_count is damaged, or the host slept for an hour: run again",
         )
 
 

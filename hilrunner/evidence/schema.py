@@ -12,7 +12,10 @@ _SIZES = {
     "uint8": "u1", "uint16": "u2", "uint32": "u4", "uint64": "u8",
     "int8": "i1", "int16": "i2", "int32": "i4", "int64": "i8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_FIELD = re.compile(r"^\s*(\w+)(?:\[(\d+)\])?\s+([A-Za-z]\w*)\s*$")
+_SCHEMA_BYTES_MAX = 1 << 16  # of the text; ours have some 5000
+_MESSAGE_BYTES_MAX = 1 << 16
+_AXIS = "[A-Za-z0-9_.-]{1,64}"
+_FIELD = re.compile(r"^\s*(\w+)(?:\[([0-9]{1,6})\])?\s+([A-Za-z]\w*)\s*$")
 
 
 def layout_of(schema_text: str) -> np.dtype | None:
@@ -21,15 +24,19 @@ def layout_of(schema_text: str) -> np.dtype | None:
     Returns a dtype with the 4 unused bytes and the CDR header in front (base.records), fields aligned as plain CDR
     aligns them, counted from after the header (OMG DDS-XTypes 7.4.3).
     """
+    if len(schema_text) > _SCHEMA_BYTES_MAX:
+        return None
     names, formats, offsets = ["unused", "cdr"], [("u1", (4,)), ("u1", (4,))], [0, 4]
+    taken = set(names)
     position = 0
     for line in schema_text.splitlines():
         text = line.split("#", 1)[0].strip()
         if not text:
             continue
         match = _FIELD.match(text)
-        if match is None or match[1] not in _SIZES or match[3] in names:
+        if match is None or match[1] not in _SIZES or match[3] in taken:
             return None
+        taken.add(match[3])
         code = _SIZES[match[1]]
         size, count = int(code[1:]), int(match[2] or 1)
         position = -(-position // size) * size
@@ -37,6 +44,8 @@ def layout_of(schema_text: str) -> np.dtype | None:
         formats.append((f"<{code}", (count,)) if match[2] else f"<{code}")
         offsets.append(8 + position)
         position += size * count
+        if position > _MESSAGE_BYTES_MAX:
+            return None
     if len(names) == 2:
         return None
     return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": 8 + position})
@@ -50,7 +59,7 @@ def own_layout(topic: str, axis_names: list[str] | None = None) -> np.dtype | No
     if topic in ("/can/rx", "/can/tx"):
         return records.CAN_FD_FRAME
     by_axis = {"command": records.COMMAND, "state": records.STATE, "check": records.CHECK, "dae": records.STATE}
-    match = re.fullmatch(r"/([^/]+)/(\w+)", topic)
+    match = re.fullmatch(rf"/({_AXIS})/([a-z]+)", topic)
     if match and match[2] in by_axis and (axis_names is None or match[1] in axis_names):
         return by_axis[match[2]]
     return None
