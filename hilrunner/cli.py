@@ -86,12 +86,14 @@ def main(argv: list[str] | None = None) -> int:
 def _heard(words: list[str]) -> int:
     """The command, and the end of one whose output cannot be written."""
     from hilrunner.commands import streams
+    from hilrunner.commands.plain_streams import plain_streams
 
     try:
-        try:
-            return _run_command(words)
-        finally:
-            streams.flush()
+        with plain_streams():
+            try:
+                return _run_command(words)
+            finally:
+                streams.flush()
     except OSError as error:
         if not streams.give_up(error):
             raise

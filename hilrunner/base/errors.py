@@ -1,10 +1,11 @@
 """Errors a user sees: one sentence that names the place, the value, the limit and the remedy, and an exit code."""
 
 from hilrunner.base import exit_codes
+from hilrunner.base.plain_text import plain_line
 
 
 class HilrunnerError(Exception):
-    """A refusal with everything a user needs to mend it.
+    """A refusal with everything a user needs to mend it, in one line, whatever names and texts of files are part of it.
 
     Args:
         place: what is wrong and where (`profiles/x.toml: axis[0].load.mass_kg`).
@@ -16,15 +17,15 @@ class HilrunnerError(Exception):
     exit_code = exit_codes.BAD_INPUT
 
     def __init__(self, place: str, problem: str, limit: str = "", remedy: str = "") -> None:
-        self.place = place
-        self.problem = problem
-        self.limit = limit
-        self.remedy = remedy
-        parts = [f"{place}: {problem}"]
+        self.place = plain_line(place)
+        self.problem = plain_line(problem)
+        self.limit = plain_line(limit)
+        self.remedy = plain_line(remedy)
+        parts = [f"{self.place}: {self.problem}"]
         if limit:
-            parts.append(f"allowed: {limit}")
+            parts.append(f"allowed: {self.limit}")
         if remedy:
-            parts.append(f"remedy: {remedy}")
+            parts.append(f"remedy: {self.remedy}")
         super().__init__("; ".join(parts))
 
 

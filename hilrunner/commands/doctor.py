@@ -10,7 +10,9 @@ import os
 import sys
 
 from hilrunner.base import exit_codes
+from hilrunner.base.plain_text import plain_line
 from hilrunner.commands import options as option_types
+from hilrunner.commands.plain_streams import beneath
 
 _COLOURS = {"ok": "32", "warn": "33", "fail": "31", "got": "32", "refused": "31"}
 _NAME_WIDTH = 27
@@ -67,7 +69,7 @@ def main(arguments: argparse.Namespace) -> int:
         words = {"ready": not reasons, "label": label, "reasons": reasons}
         print(json.dumps({**words, "grants": [grant.as_dict() for grant in grants], **report.as_dict()}, indent=2))
     else:
-        print(_text(grants, report, label, reasons, _colourful()))
+        print(_text(grants, report, label, reasons, _colourful()), file=beneath(sys.stdout))
     return exit_codes.REALTIME_REFUSED if reasons else exit_codes.PASSED
 
 
@@ -98,9 +100,9 @@ def _colourful() -> bool:
 
 def _line(mark: str, name: str, value: str, remedy: str, colour: bool) -> list[str]:
     shown = f"\x1b[{_COLOURS[mark]}m{mark:<8}\x1b[0m" if colour else f"{mark:<8}"
-    lines = [f"{shown}{name:<{_NAME_WIDTH}} {value}"]
+    lines = [f"{shown}{plain_line(name):<{_NAME_WIDTH}} {plain_line(value)}"]
     if remedy:
-        lines.append(f"{'':8}{'':<{_NAME_WIDTH}} -> {remedy}")
+        lines.append(f"{'':8}{'':<{_NAME_WIDTH}} -> {plain_line(remedy)}")
     return lines
 
 

@@ -77,7 +77,9 @@ class _ProgressBar:
             from rich.console import Console
             from rich.progress import Progress
 
-            self._bar = Progress(console=Console(stderr=True), transient=True)
+            from hilrunner.commands.plain_streams import beneath
+
+            self._bar = Progress(console=Console(file=beneath(sys.stderr)), transient=True)
             self._bar.start()
         return self._report
 

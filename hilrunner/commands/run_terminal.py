@@ -4,6 +4,7 @@ import sys
 
 from hilrunner.base import histogram_scale, records, state_layout, status
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
+from hilrunner.commands.plain_streams import beneath
 from hilrunner.commands.run_summary import worst_us
 from hilrunner.setup.session import Session
 from hilrunner.setup.wire_span import bench_warnings
@@ -57,8 +58,9 @@ class LiveLine:
             f"p2 {state[state_layout.CHAMBER_2_PRESSURE] / PA_PER_MPA:7.3f} MPa  "
             f"late p99 {late / 1000:.0f} us  misses {int(bench.progress[0]['miss_count'])}"
         )
-        sys.stderr.write("\r\x1b[2K" + line)
-        sys.stderr.flush()
+        terminal = beneath(sys.stderr)
+        terminal.write("\r\x1b[2K" + line)
+        terminal.flush()
         self._shown = True
 
     def close(self) -> None:

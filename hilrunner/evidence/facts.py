@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hilrunner.base.errors import ProfileError
+from hilrunner.base.plain_text import plain_keys, plain_line, plain_table
 from hilrunner.base.units import NS_PER_US
 from hilrunner.evidence.reader import Run
 from hilrunner.setup import host
@@ -20,6 +21,7 @@ DEFAULT_PERIOD_NS = _NS_PER_MS
 _PERIOD_NS = (NS_PER_US, 1_000_000 * NS_PER_US)
 _WARM_UP_TICKS = (0, 1_000_000)
 _BITRATE = (0, 100_000_000)
+_COUNT = (0, 1 << 63)
 _ROWS_MAX = 1000
 
 
@@ -42,6 +44,15 @@ class RunFacts:
     provenance: dict[str, str]  # versions, revision, hashes, seeds
     notes: tuple[str, ...]
     clamped: dict[str, int] = field(default_factory=dict)  # MESSAGE.signal -> values outside its range; sent as its end
+
+    def __post_init__(self) -> None:
+        """All of it is shown to people, and a log comes from anywhere."""
+        shown = {name: plain_line(getattr(self, name)) for name in ("profile_name", "exit_reason", "mode_label")}
+        shown |= {name: tuple(map(plain_line, getattr(self, name))) for name in ("mode_reasons", "notes")}
+        shown |= {name: plain_table(getattr(self, name)) for name in ("host", "provenance")}
+        shown |= {name: plain_keys(getattr(self, name)) for name in ("limits", "clamped")}
+        for name, value in shown.items():
+            object.__setattr__(self, name, value)
 
 
 def read_facts(run: Run, miss_count: int = 0) -> RunFacts:
@@ -82,7 +93,10 @@ def read_facts(run: Run, miss_count: int = 0) -> RunFacts:
         host={key: value for key, value in run.metadata.get("host", {}).items() if key not in left_out},
         provenance={key: value for key, value in table.items() if key != "exit_reason"},
         notes=tuple(notes),
-        clamped={name: _number(count, 0) for name, count in run.metadata.get("clamped", {}).items()},
+        clamped={
+            name: _number(count, 0, _COUNT, f"clamped {name}", notes)
+            for name, count in run.metadata.get("clamped", {}).items()
+        },
     )
 
 
@@ -154,7 +168,7 @@ def _rows(text: str | None, keys: tuple[str, ...], notes: list[str]) -> list[dic
 
 
 def _plain(value) -> str | bool:
-    return value if isinstance(value, bool) else str(value)
+    return value if isinstance(value, bool) else plain_line(value)
 
 
 def _number(text, default: int, allowed: tuple[int, int], key: str, notes: list[str]) -> int:

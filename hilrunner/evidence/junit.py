@@ -3,6 +3,7 @@
 import math
 import xml.etree.ElementTree as ElementTree
 
+from hilrunner.base.plain_text import plain_text
 from hilrunner.evidence.verdict import FAILED, NOT_JUDGED, Judgement, Verdict
 
 
@@ -31,7 +32,8 @@ def junit_xml(verdict: Verdict, suite_name: str, duration_s: float, properties: 
     root = ElementTree.Element("testsuites")
     root.append(suite)
     ElementTree.indent(root)
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
+    text = plain_text(ElementTree.tostring(root, encoding="unicode"))  # names of suites and properties too
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{text}\n'
 
 
 def _add_case(suite: ElementTree.Element, suite_name: str, judgement: Judgement) -> None:
@@ -55,7 +57,5 @@ def number(value: float) -> str:
 
 
 def _clean(text: str) -> str:
-    """Text without the control characters XML 1.0 forbids."""
-    return "".join(
-        c for c in str(text) if c in "\t\n" or " " <= c <= "\ud7ff" or "\ue000" <= c <= "\ufffd" or c > "\uffff"
-    )
+    """Text with the characters XML 1.0 forbids as escapes."""
+    return plain_text(str(text))

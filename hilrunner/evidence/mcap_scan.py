@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hilrunner.base.errors import LogError
+from hilrunner.base.plain_text import plain_line
 from hilrunner.evidence import mcap_walk
 from hilrunner.evidence.budget import DAMAGED_PLACES_MAX, RECORD_BYTES_MAX, Budget
 from hilrunner.evidence.chunk import read_chunk
@@ -54,13 +55,13 @@ class Contents:
         """Remember what is missing; the first ones word by word, the rest as a count."""
         self.damage_count += 1
         if len(self.damage) < _DAMAGE_NOTES_MAX:
-            self.damage.append(text)
+            self.damage.append(plain_line(text))
 
     def harm(self, text: str) -> None:
         """Remember a part that is not what was written: unlike one that was cut off, it can have changed what is read."""
         self.note(text)
         if len(self.mismatches) < _DAMAGE_NOTES_MAX:
-            self.mismatches.append(text)
+            self.mismatches.append(plain_line(text))
 
 
 Batch = Callable[[np.ndarray, np.ndarray], None]  # (buffer u1, messages MESSAGE)

@@ -4,6 +4,8 @@ import html
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from hilrunner.base.plain_text import plain_text
+
 STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 
 
@@ -13,7 +15,7 @@ def page(title: str, lead: str, sections: Iterable[str]) -> str:
     Args:
         title: of the document, plain text. lead: HTML below it. sections: HTML, in order.
     """
-    return (
+    return plain_text(
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         '<meta name="color-scheme" content="light dark">'

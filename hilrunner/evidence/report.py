@@ -11,6 +11,7 @@ import numpy as np
 
 from hilrunner.base import histogram_scale
 from hilrunner.base.errors import LogError
+from hilrunner.base.plain_text import plain_keys, plain_line
 from hilrunner.base.units import M_PER_MM
 from hilrunner.evidence.bus import BusTally, BusUse
 from hilrunner.evidence.check_use import CheckTally, CheckUse
@@ -49,6 +50,7 @@ COLUMNS: Columns = {
     ),
     "/*/check": CheckTally.COLUMNS,
 }  # what a report needs; the rest of an hour's log is never in memory
+_FOREIGN_SHOWN = 20
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,15 @@ class Report:
     damage: tuple[str, ...]
     foreign_topics: tuple[str, ...]
     library: str
+
+    def __post_init__(self) -> None:
+        """Names in the log are shown to people, and a log comes from anywhere."""
+        topics = tuple(map(plain_line, self.foreign_topics[:_FOREIGN_SHOWN]))
+        if len(self.foreign_topics) > _FOREIGN_SHOWN:
+            topics += (f"and {len(self.foreign_topics) - _FOREIGN_SHOWN} more",)
+        object.__setattr__(self, "foreign_topics", topics)
+        object.__setattr__(self, "library", plain_line(self.library))
+        object.__setattr__(self, "attachments", plain_keys(self.attachments))
 
 
 def build_report(path: str | Path, reference_path: str | Path | None = None) -> Report:

@@ -159,4 +159,4 @@ def test_junit_carries_every_limit(tmp_path):
     assert "18, limit 1" in cases["rod_speed_mmps_max"].find("failure").get("message")
     assert cases["tracking_error_mm_max"].find("error") is not None
     assert cases["pressure_mpa_max"].find("failure") is None
-    assert suite.find("properties/property").get("value") == "ab & c"
+    assert suite.find("properties/property").get("value") == r"a\x07b & c"
