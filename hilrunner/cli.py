@@ -23,6 +23,7 @@ COMMANDS = {
     "doctor": "is this host fit for real time? each finding with its remedy",
     "bench": "plant step, loop and log against named rivals",
     "profiles": "list the profiles that ship",
+    "lab": "run a command beside a real CAN bus, on kernels without one as well",
     "check": "validate a profile: keys, units, DBC, model, stability, bus load",
 }
 
@@ -118,8 +119,8 @@ def _run_command(words: list[str]) -> int:
     if command not in COMMANDS:
         print(f"hilrunner: no command '{command}'; commands: {', '.join(COMMANDS)}", file=sys.stderr)
         return 2
-    arguments = build_parser(command).parse_args(words)
     try:
+        arguments = build_parser(command).parse_args(words)
         return arguments.main(arguments)
     except HilrunnerError as error:
         print(f"hilrunner {command}: {error}", file=sys.stderr)

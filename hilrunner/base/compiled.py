@@ -2,13 +2,15 @@
 
 Numba's own cache looks only at the file of the cached function, not at what it calls. So a cached function is kept in a folder
 named by a hash over every file it may call: its own room and the rooms below it. A change anywhere below makes a fresh
-folder; a change above costs nothing. Import this before numba.
+folder; a change above costs nothing. Numba keeps pickles, so each folder is ours alone (`own_folder`). Import this before numba.
 """
 
 import hashlib
 import os
 from functools import cache
 from pathlib import Path
+
+from hilrunner.base.own_folder import cache_base, own_folder
 
 _COMPILED_ROOMS = ("base", "plant", "realtime")  # lowest first; each may call those before it
 _ROOT = Path(__file__).resolve().parent.parent
@@ -34,11 +36,13 @@ def source_hash(room: str = "realtime") -> str:
 
 
 def cache_folder(room: str = "realtime") -> Path:
-    """Where compiled code of a room is kept: $HILRUNNER_CACHE or the user's cache folder, one subfolder a source state."""
-    base = os.environ.get("HILRUNNER_CACHE") or os.path.join(
-        os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache"), "hilrunner"
-    )
-    return Path(base) / f"{room}-{source_hash(room)}"
+    """Where compiled code of a room is kept, one subfolder a source state: of $NUMBA_CACHE_DIR, or of `cache_base`.
+
+    Raises:
+        FolderError: others could have put code there.
+    """
+    base = Path(os.environ["NUMBA_CACHE_DIR"]).absolute() if os.environ.get("NUMBA_CACHE_DIR") else cache_base()
+    return own_folder(base / f"{room}-{source_hash(room)}")
 
 
 import numba  # noqa: E402  (nothing of numba may be imported before the cache folder can be chosen)
@@ -55,8 +59,7 @@ def _in_cache_of(function, decorate):
     parts = function.__module__.split(".")
     room = parts[1] if len(parts) > 2 else "realtime"
     before = numba.config.CACHE_DIR
-    # read when the decorator builds the function's cache; an explicit NUMBA_CACHE_DIR of the user wins
-    numba.config.CACHE_DIR = os.environ.get("NUMBA_CACHE_DIR") or str(cache_folder(room))
+    numba.config.CACHE_DIR = str(cache_folder(room))  # read when the decorator builds the function's cache
     try:
         return decorate(function)
     finally:

@@ -49,6 +49,10 @@ class LogError(HilrunnerError):
     """A log that cannot be read or written."""
 
 
+class FolderError(HilrunnerError):
+    """A folder that code would be loaded from and that cannot be made, or that others could have put code into."""
+
+
 class StateError(HilrunnerError):
     """No consistent initial state exists for what was asked."""
 

@@ -164,10 +164,9 @@ class CheckWorker:
         from hilrunner.record import crosscheck  # numba and the plant: only here, off the path to the open log
 
         settings = self._settings
-        with open(settings.plants_path, "rb") as file:
+        with open(settings.plants_fd, "rb") as file:
+            file.seek(0)
             plants, stimulus = pickle.load(file)
-        with contextlib.suppress(OSError):
-            os.unlink(settings.plants_path)
         if stimulus is None:
             stimulus = np.zeros((len(plants), 0))
         period_s = self._period_ns / NS_PER_S

@@ -19,13 +19,14 @@ class Attachment:
 class CheckConfig:
     """What the online cross-check needs.
 
-    `plants_path` is a pickle of a list with one plant.step.AxisPlant with engine reference for each axis, and of the stimulus that takes
-    the place of the bus, float64[axis, tick], or None; it is deleted once read.
+    `plants_fd` is an inherited memory file with the pickle of a list with one plant.step.AxisPlant with engine reference for each
+    axis, and of the stimulus that takes the place of the bus, float64[axis, tick], or None. What is unpickled could run any code:
+    so it has no name by which anybody else could reach it.
     Tolerances are absolute; NaN or None switches one off. `one_step_decimation` 1 checks every tick's own step, n every
     n-th; `record_decimation` likewise for the records written to /<axis>/check.
     """
 
-    plants_path: str
+    plants_fd: int  # of launch.plants_file
     initial_states: list[list[float]]  # per axis the STATE_SIZE floats of the state before the first tick
     pressure_tolerance_pa: float | None = None  # shadow trajectory, chambers 1 and 2
     position_tolerance_m: float | None = None

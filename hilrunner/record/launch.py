@@ -7,6 +7,7 @@ stays behind when both processes are killed.
 import json
 import mmap
 import os
+import pickle
 import subprocess
 import sys
 import tempfile
@@ -66,6 +67,23 @@ def attach_ring(fd: int, shape: ring_layout.RingShape) -> tuple[RingBlock, ring_
     if ring_layout.word(ring, ring_layout.WORD_MAGIC) != ring_layout.MAGIC:
         raise LogError("ring", "the shared memory holds no ring of this version")
     return block, ring
+
+
+def plants_file(plants: list, stimulus) -> int:
+    """Descriptor of a memory file for CheckConfig.plants_fd; `start_recorder` hands it over and closes it here.
+
+    Args:
+        plants: plant.step.AxisPlant of each axis.
+        stimulus: float64[axis, tick] or None.
+    """
+    fd = os.memfd_create("hilrunner-plants", os.MFD_CLOEXEC)
+    try:
+        with os.fdopen(fd, "wb", closefd=False) as file:
+            pickle.dump((plants, stimulus), file)
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd
 
 
 class RecorderHandle:
@@ -130,15 +148,20 @@ def start_recorder(config: recorder_config.RecorderConfig, ring: ring_layout.Rin
         "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH")))),
         "OPENBLAS_NUM_THREADS": "1",  # no pool of threads beside the loop
     }
-    process = subprocess.Popen(
-        [sys.executable, "-m", "hilrunner.record"],
-        env=environment,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=errors,
-        pass_fds=(config.ring_fd,),
-        start_new_session=True,
-    )
+    handed_over = () if config.check is None else (config.check.plants_fd,)
+    try:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "hilrunner.record"],
+            env=environment,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=errors,
+            pass_fds=(config.ring_fd, *handed_over),
+            start_new_session=True,
+        )
+    finally:
+        for descriptor in handed_over:
+            os.close(descriptor)
     try:
         process.stdin.write(recorder_config.encode(config).encode())
         process.stdin.close()

@@ -79,7 +79,7 @@ def _check_interface(channel: str, fd: bool) -> None:
             f"--can {channel}",
             "no such network interface",
             limit=", ".join(sorted(_can_interfaces())) or "none is here",
-            remedy=f"ip link add dev {channel} type vcan && ip link set {channel} up mtu 72, or tools/vcan_lab COMMAND",
+            remedy=f"ip link add dev {channel} type vcan && ip link set {channel} up mtu 72, or hilrunner lab -- COMMAND",
         )
     if not int((folder / "flags").read_text(), 16) & _IFF_UP:
         raise CanError(f"--can {channel}", "the interface is down", remedy=f"ip link set {channel} up")

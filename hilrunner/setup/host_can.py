@@ -89,7 +89,7 @@ def interface_findings(files: HostFiles, interface: str, details: dict | None = 
     folder = f"sys/class/net/{interface}"
     kind = files.number(f"{folder}/type")
     if kind is None:
-        remedy = f"plug it in, or: ip link add dev {interface} type vcan; or tools/vcan_lab COMMAND"
+        remedy = f"plug it in, or: ip link add dev {interface} type vcan; or hilrunner lab -- COMMAND"
         return [Finding("CAN interface", f"{interface} does not exist", FAIL, remedy)]
     if kind != ARPHRD_CAN:
         return [

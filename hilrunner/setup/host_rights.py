@@ -16,6 +16,7 @@ import struct
 from dataclasses import dataclass
 
 from hilrunner.setup.host_words import OK, WARN, Finding, Grant, HostFiles
+from hilrunner.setup.resources import host_files_folder
 
 CAP_IPC_LOCK = 14  # capabilities(7)
 CAP_SYS_NICE = 23
@@ -24,7 +25,10 @@ PR_SET_TIMERSLACK, PR_GET_TIMERSLACK = 29, 30  # prctl(2)
 DMA_LATENCY_FILE = "/dev/cpu_dma_latency"  # Documentation/power/pm_qos_interface.rst: held as long as the file is open
 
 _libc = ctypes.CDLL(None, use_errno=True)
-_RIGHTS_REMEDY = "install tools/systemd/hilrunner-limits.conf in /etc/security/limits.d, join group realtime, log in again; or use the systemd unit"
+_RIGHTS_REMEDY = (
+    f"install {host_files_folder()}/hilrunner-limits.conf in /etc/security/limits.d, join group realtime, log in again; "
+    "or use the systemd unit there"
+)
 
 
 @dataclass(frozen=True)

@@ -28,9 +28,14 @@ def firmware_interface_folder() -> Path:
     return _folder("firmware_iface")
 
 
+def host_files_folder() -> Path:
+    """Folder of what an administrator installs: the systemd unit, limits and device rules for group realtime."""
+    return _folder("systemd", "tools/systemd")
+
+
 @cache
-def _folder(name: str) -> Path:
-    in_tree = _PACKAGE.parent / name
+def _folder(name: str, in_tree_name: str = "") -> Path:
+    in_tree = _PACKAGE.parent / (in_tree_name or name)
     installed = _PACKAGE / "_data" / name
     if in_tree.is_dir() and (_PACKAGE.parent / "pyproject.toml").is_file():
         return in_tree

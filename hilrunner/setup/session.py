@@ -6,7 +6,6 @@ recorder. Order matters: rights asked for while the plants are built, recorder a
 
 import contextlib
 import os
-import pickle
 import signal
 import tempfile
 import threading
@@ -96,7 +95,6 @@ class Session:
         self._failure: BaseException | None = None
         self._cancelled = False
         self._log_is_ours = options.log_is_new  # nobody's file before: made for this run, or emptied by its recorder
-        self._plants_path: Path | None = None  # deleted by the recorder once read, by us when it could not
         self.schedstat_fd = -1
 
     def start(self) -> None:
@@ -213,7 +211,6 @@ class Session:
             self.bus.close()
         if self._block is not None:
             self._block.close()
-        self._forget_plants()
         late = int(self.armed.bench.progress[0]["miss_count"])
         return RunResult(
             exit_reason=self.exit_reason,
@@ -250,11 +247,6 @@ class Session:
             self._thread.join(timeout=5.0)
         if self.bus is not None:
             self.bus.close()
-        self._forget_plants()
-
-    def _forget_plants(self) -> None:
-        if self._plants_path is not None:
-            self._plants_path.unlink(missing_ok=True)
 
     def _store(self, word: int, value: int) -> None:
         self.ring.header[word * ring_layout.HEADER_STRIDE] = value
@@ -292,14 +284,10 @@ class Session:
         rules = self.loaded.profile.crosscheck
         if not rules.enabled:
             return None
-        handle, path = tempfile.mkstemp(prefix="hilrunner-check-", suffix=".pickle")
-        self._plants_path = Path(path)
-        with os.fdopen(handle, "wb") as file:
-            stimulus = self.options.stimulus
-            by_axis = None if stimulus is None else np.ascontiguousarray(stimulus.T, np.float64)
-            pickle.dump((reference_plants(self.loaded), by_axis), file)
+        stimulus = self.options.stimulus
+        by_axis = None if stimulus is None else np.ascontiguousarray(stimulus.T, np.float64)
         return CheckConfig(
-            plants_path=path,
+            plants_fd=launch.plants_file(reference_plants(self.loaded), by_axis),
             initial_states=self.axes.initial_states.tolist(),
             pressure_tolerance_pa=rules.pressure_tolerance_mpa * PA_PER_MPA,
             position_tolerance_m=rules.position_tolerance_mm * M_PER_MM,

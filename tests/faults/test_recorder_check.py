@@ -1,7 +1,5 @@
 """The cross-check through the whole recorder: ring in, /<axis>/check and a verdict out."""
 
-import pickle
-
 import check_plant
 import mcap_doctor
 import numpy as np
@@ -11,19 +9,18 @@ from recorder_producer import Producer, ring_shape, start
 from hilrunner.base import records, ring
 from hilrunner.record.check_worker import CheckWorker
 from hilrunner.record.config import CheckConfig
+from hilrunner.record.launch import plants_file
 
 COUNT = 1200
 FAULT_TICK = 500
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
+def run():
     axis = check_plant.lift_axis()
     begin = check_plant.start_state(axis)
     # into the cache on disk first: the recorder waits a limited time for its check
-    path = tmp_path_factory.mktemp("warm") / "plants.pickle"
-    path.write_bytes(pickle.dumps(([axis], None)))
-    assert CheckWorker(CheckConfig(str(path), [begin.tolist()]), ["axis_1"], 1_000_000).finish(500.0)
+    assert CheckWorker(CheckConfig(plants_file([axis], None), [begin.tolist()]), ["axis_1"], 1_000_000).finish(500.0)
     commands = 0.5 * np.sin(np.arange(COUNT) * 0.01)
     return axis, begin, commands, check_plant.run_reference(axis, commands, np.ones(COUNT), begin)
 
@@ -47,9 +44,9 @@ class PlantProducer(Producer):
 
 def record_run(tmp_path, run, states):
     axis, begin, commands, _ = run
-    path = tmp_path / "plants.pickle"
-    path.write_bytes(pickle.dumps(([axis], None)))
-    check = CheckConfig(str(path), [begin.tolist()], pressure_tolerance_pa=20e3, position_tolerance_m=1e-4)
+    check = CheckConfig(
+        plants_file([axis], None), [begin.tolist()], pressure_tolerance_pa=20e3, position_tolerance_m=1e-4
+    )
     block, producer, handle = start(tmp_path / "a.mcap", ring_shape(tick_capacity=2048), check=check)
     handle.wait_ready(60)
     plant = PlantProducer(producer.ring, producer.shape, commands, states)

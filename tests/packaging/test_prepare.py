@@ -37,6 +37,7 @@ def test_without_apt_it_names_the_packages(prepare, monkeypatch, capsys):
 def test_every_missing_program_becomes_a_package(prepare, monkeypatch):
     monkeypatch.setattr(prepare, "have", lambda program: False)
     monkeypatch.setattr(prepare, "native_vcan", lambda: False)
+    monkeypatch.setattr(prepare.platform, "machine", lambda: "x86_64")
     for purpose, programs in (("demo", prepare.PROGRAMS), ("test", prepare.PROGRAMS | prepare.TEST_PROGRAMS)):
         missing = prepare.needed_packages(purpose)
         assert set(programs.values()) <= set(missing)
@@ -47,6 +48,15 @@ def test_native_vcan_needs_no_user_mode_linux(prepare, monkeypatch):
     monkeypatch.setattr(prepare, "have", lambda program: False)
     monkeypatch.setattr(prepare, "native_vcan", lambda: True)
     assert "user-mode-linux" not in prepare.needed_packages("demo")
+
+
+@pytest.mark.parametrize("purpose", ["demo", "test"])
+def test_arm64_is_not_asked_for_a_package_it_does_not_have(prepare, monkeypatch, purpose):
+    monkeypatch.setattr(prepare, "have", lambda program: False)
+    monkeypatch.setattr(prepare, "native_vcan", lambda: False)
+    monkeypatch.setattr(prepare.platform, "machine", lambda: "aarch64")
+    missing = prepare.needed_packages(purpose)
+    assert "user-mode-linux" not in missing and "gcc" in missing
 
 
 def test_an_old_interpreter_looks_for_a_newer_one(prepare, monkeypatch, capsys):

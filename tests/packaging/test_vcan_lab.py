@@ -1,16 +1,13 @@
 """tools/vcan_lab gives a command a real vcan0 and otherwise stays out of its way: files, folder, environment, output, exit code, signals."""
 
-import importlib.util
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
-from importlib.machinery import SourceFileLoader
 
-import pytest
-
+from hilrunner.labs.words import EXIT_TIMEOUT
 from tests.rules import tree
 
 LAB = tree.ROOT / "tools" / "vcan_lab"
@@ -41,15 +38,6 @@ time.sleep(1.5)
 sys.stdout.buffer.write(b"\\x00\\r\\n\\xff" * 20000)
 sys.exit(23)
 """
-
-
-@pytest.fixture
-def tool(monkeypatch):
-    monkeypatch.syspath_prepend(str(LAB.parent))
-    loader = SourceFileLoader("vcan_lab_tool", str(LAB))
-    module = importlib.util.module_from_spec(importlib.util.spec_from_loader("vcan_lab_tool", loader))
-    loader.exec_module(module)
-    return module
 
 
 def _start(folder, *command, options=()):
@@ -101,51 +89,9 @@ def test_an_interrupt_reaches_the_command(tmp_path):
     assert lab.wait() == 7
 
 
-def test_a_command_that_does_not_end_is_ended(tmp_path, tool):
+def test_a_command_that_does_not_end_is_ended():
     lab = subprocess.run(
         [sys.executable, LAB, "--timeout", "15", "--quiet", "sleep", "300"], capture_output=True, text=True
     )
-    assert lab.returncode == tool.EXIT_TIMEOUT
+    assert lab.returncode == EXIT_TIMEOUT
     assert "--timeout" in lab.stderr
-
-
-def test_missing_packages_are_named_with_the_line_to_type(tool, monkeypatch, capsys):
-    monkeypatch.setattr(tool, "which", lambda program: None)
-    monkeypatch.setattr(tool, "try_native", lambda options, environment: (None, "no vcan here"))
-    assert tool.main(["true"]) == tool.EXIT_NO_LAB
-    said = capsys.readouterr().err
-    assert "no vcan here" in said
-    assert "sudo apt-get install --no-install-recommends user-mode-linux kmod iproute2" in said
-
-
-def test_native_alone_says_why_it_failed(tool, monkeypatch, capsys):
-    monkeypatch.setattr(tool, "try_native", lambda options, environment: (None, "Operation not supported"))
-    assert tool.main(["--lab", "native", "true"]) == tool.EXIT_NO_LAB
-    assert "Operation not supported" in capsys.readouterr().err
-
-
-def test_what_was_made_natively_is_taken_away_when_a_step_fails(tool, monkeypatch):
-    calls = []
-
-    def run(command, **_options):
-        calls.append(command[-5:])
-        return subprocess.CompletedProcess(command, 1 if command[-1] == "up" else 0, "", "refused")
-
-    monkeypatch.setattr(tool, "which", lambda program: f"/sbin/{program}")
-    monkeypatch.setattr(tool, "sudo", list)
-    monkeypatch.setattr(tool.os.path, "exists", lambda path: False)
-    monkeypatch.setattr(tool.subprocess, "run", run)
-    created, trouble = tool.make_native()
-    assert created == []
-    assert "refused" in trouble
-    assert calls[-1][-3:] == ["link", "del", "vcan0"]
-
-
-def test_a_container_with_little_shared_memory_uses_a_file_instead(tool, monkeypatch):
-    class Small:
-        f_bavail = 16384
-        f_frsize = 4096
-
-    monkeypatch.setattr(tool.os, "statvfs", lambda path: Small)
-    assert not tool.fits_in_shared_memory("3G")
-    assert tool.fits_in_shared_memory("32M")

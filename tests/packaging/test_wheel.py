@@ -67,6 +67,20 @@ def test_the_wheel_carries_nothing_else(wheel):
     assert not [name for name in _names(wheel) if name.endswith((".o", ".so", ".pyc", "reference_firmware"))]
 
 
+def test_the_wheel_carries_what_error_messages_name(installed):
+    """The limits file, the unit and the device rules; the remedy names the very file."""
+    folder, python = installed
+    program = "from hilrunner.setup import host_rights, resources; print(host_rights._RIGHTS_REMEDY.split()[1]); print(resources.host_files_folder())"
+    limits, place = map(Path, _run([python, "-c", program], cwd=folder).split())
+    assert limits.is_file() and limits.parent == place and folder in place.parents
+    ours = {path.name: path.read_bytes() for path in (tree.ROOT / "tools" / "systemd").iterdir()}
+    assert {path.name: path.read_bytes() for path in place.iterdir() if path.is_file()} == ours
+
+
+def test_the_installed_lab_gives_a_bus(installed):
+    assert "vcan0" in _hilrunner(installed, "lab", "--quiet", "--", "ip", "-br", "link", "show", "vcan0")
+
+
 def _hilrunner(installed, *words):
     folder, python = installed
     return _run([python.parent / "hilrunner", *words], cwd=folder)

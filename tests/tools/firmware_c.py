@@ -11,6 +11,8 @@ from pathlib import Path
 
 import cffi
 
+from hilrunner.base.own_folder import cache_base, own_folder
+
 FOLDER = Path(__file__).resolve().parents[2] / "firmware_iface" / "c"
 SOURCES = ("e2e_p02.c", "actuator_messages.c", "wave.c", "motion_controller.c")
 HEADERS = ("e2e_p02.h", "actuator_messages.h", "wave.h", "motion_controller.h")
@@ -33,8 +35,7 @@ def load():
     digest = hashlib.sha256()
     for name in (*SOURCES, *HEADERS):
         digest.update((FOLDER / name).read_bytes())
-    folder = Path(tempfile.gettempdir()) / f"hilrunner-firmware-c-{digest.hexdigest()[:16]}"
-    folder.mkdir(exist_ok=True)
+    folder = own_folder(cache_base() / f"firmware-c-{digest.hexdigest()[:16]}")
     library = folder / "libactuator.so"
     if not library.exists():
         with tempfile.NamedTemporaryFile(dir=folder, suffix=".so", delete=False) as fresh:

@@ -1,9 +1,10 @@
-"""Process 1 of the User-Mode Linux guest that tools/vcan_lab boots: makes vcan0 and vcan1, runs one command, ends the guest.
+"""Process 1 of the User-Mode Linux guest that `uml` boots: makes vcan0 and vcan1, runs one command, ends the guest.
 
-    vcan_lab_guest.py JOB.json
+    guest.py JOB.json
 
-Console 1 is the command's output, 2 its error output, 3 the line to tools/vcan_lab: we write `ready`, `trouble` and `exit`, it
-writes numbers of signals for the command. When nobody is left on the other end of that line the guest ends.
+Console 1 is the command's output, 2 its error output, 3 the line to `uml` outside: we write `ready`, `trouble` and `exit`, it
+writes numbers of signals for the command. When nobody is left on the other end of that line the guest ends. It is run as a
+file, alone, and so imports nothing of ours.
 """
 
 import contextlib
