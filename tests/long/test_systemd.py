@@ -84,7 +84,7 @@ def test_the_recorder_outlives_a_crash_as_shipped_and_not_with_mixed(manager, tm
     until(lambda: unit.holds_ticks(log))
     (runner,) = command_lines(log)
     (recorder,) = unit.children(runner)
-    os.kill(recorder, signal.SIGSTOP)  # so that it has not finished before the manager acts; a signal of the manager's wakes it
+    os.kill(recorder, signal.SIGSTOP)  # the manager acts first, and its signal wakes it
     os.kill(runner, signal.SIGKILL)
     until(lambda: not os.path.exists(f"/proc/{recorder}"))
     assert bool(read_run(log).damage) == (mode == "mixed")
