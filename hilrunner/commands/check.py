@@ -6,7 +6,7 @@ import json
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `hilrunner check`."""
-    parser.add_argument("profile", metavar="NAME|FILE", help="a shipped profile or a TOML file")
+    parser.add_argument("profile", metavar="NAME|FILE", help="a shipped profile, a TOML file, or the log of a run")
     parser.add_argument(
         "--engine", choices=("surrogate", "reference", "onnx"), help="default: the profile's (bench.engine)"
     )
@@ -16,17 +16,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def main(args: argparse.Namespace) -> int:
     """Build everything a run would build, without bus and clock; exit 2 with the reason where it cannot be built."""
     from hilrunner.base import status
+    from hilrunner.commands.again import load_again
     from hilrunner.setup.arm import arm_offline
     from hilrunner.setup.axes import engine_named, period_ns, period_s
     from hilrunner.setup.host import bus_load_ratio
-    from hilrunner.setup.profile import load_profile
     from hilrunner.setup.stability_store import stored_stability_limit_s
-    from hilrunner.setup.stimulus import load_stimulus, profile_schedule
+    from hilrunner.setup.stimulus import profile_stimulus
     from hilrunner.setup.traffic import profile_traffic
     from hilrunner.setup.wire_span import bench_warnings
 
-    loaded = load_profile(args.profile)
-    load_stimulus(profile_schedule(loaded), loaded)
+    loaded = load_again(args.profile)
+    profile_stimulus(loaded)
     engine = engine_named(loaded, args.engine)
     armed = arm_offline(loaded, engine)
     load = bus_load_ratio(profile_traffic(loaded, period_ns(loaded)), loaded.profile.can.bitrate)

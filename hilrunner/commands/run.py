@@ -27,9 +27,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="bit rate, where the interface sets it",
     )
     bus.add_argument("--fd", action="store_true", help="CAN FD frames")
-    bus.add_argument("--stimulus", metavar="FILE", help="valve schedule or CAN log in place of commands from the bus")
+    bus.add_argument(
+        "--stimulus",
+        metavar="FILE",
+        help="valve schedule, CAN log, or the log of a run, in place of commands from the bus",
+    )
     run = parser.add_argument_group("run")
-    run.add_argument("--profile", default="amc-lift", metavar="NAME|FILE", help="default: %(default)s")
+    run.add_argument(
+        "--profile", default="amc-lift", metavar="NAME|FILE", help="default: %(default)s; a log: as it ran"
+    )
     run.add_argument(
         "--engine",
         choices=("surrogate", "onnx", "reference"),

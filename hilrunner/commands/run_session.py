@@ -13,6 +13,7 @@ import msgspec
 from hilrunner.base import exit_codes, status
 from hilrunner.base import ring as ring_layout
 from hilrunner.base.errors import UsageError
+from hilrunner.commands.again import load_again, stimulus_named
 from hilrunner.commands.interrupt import INTERRUPTED
 from hilrunner.commands.run_summary import summarise_run
 from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
@@ -20,9 +21,8 @@ from hilrunner.commands.streams import spare_the_work
 from hilrunner.commands.targets import claim_free_log, claim_log
 from hilrunner.setup import host
 from hilrunner.setup.axes import check_duration, engine_named
-from hilrunner.setup.profile import LoadedProfile, load_profile
+from hilrunner.setup.profile import LoadedProfile, checked
 from hilrunner.setup.session import RunOptions, RunResult, Session
-from hilrunner.setup.stimulus import load_stimulus
 
 _LIVE_INTERVAL_S = 0.25
 _INSIST_S = 3.0  # the longest period is one second
@@ -30,7 +30,7 @@ _INSIST_S = 3.0  # the longest period is one second
 
 def execute(args: argparse.Namespace, begin_mono_ns: int) -> int:
     """One run; returns the exit code."""
-    loaded = _with_period(load_profile(args.profile), args.period_us)
+    loaded = _with_options(load_again(args.profile), args)
     check_duration(args.duration, loaded)
     options = _options(args, loaded)
     session = Session(loaded, options, begin_mono_ns)
@@ -98,48 +98,38 @@ def judged(result: RunResult) -> tuple[int, list[str]]:
     return verdict.exit_code, broken
 
 
-def _with_period(loaded: LoadedProfile, period_us: int | None) -> LoadedProfile:
-    """The profile with --period-us in place; the attached text stays true by carrying the change as well."""
-    if period_us is None:
-        return loaded
-    bench = msgspec.structs.replace(loaded.profile.bench, period_us=period_us)
-    return LoadedProfile(
-        profile=msgspec.structs.replace(loaded.profile, bench=bench),
-        path=loaded.path,
-        text=with_bench_key(loaded.text, period_us),
+def _with_options(loaded: LoadedProfile, args: argparse.Namespace) -> LoadedProfile:
+    """The profile with what the command line says in place of it; the log holds it so, beside the text as it was written."""
+    asked = {"period_us": args.period_us, "overrun": args.overrun, "spin_us": args.spin_us}
+    engine = status.ENGINE_NAMES[engine_named(loaded, args.engine)]
+    bench = {key: value for key, value in asked.items() if value is not None} | {"engine": engine}
+    can = {"bitrate": args.bitrate or loaded.profile.can.bitrate, "fd": args.fd or loaded.profile.can.fd}
+    return checked(
+        loaded.changed(
+            bench=msgspec.structs.replace(loaded.profile.bench, **bench),
+            can=msgspec.structs.replace(loaded.profile.can, **can),
+        )
     )
-
-
-def with_bench_key(text: str, period_us: int) -> str:
-    """The text of a profile with bench.period_us set."""
-    lines = [line for line in text.splitlines() if not line.strip().startswith("period_us")]
-    for index, line in enumerate(lines):
-        if line.strip() == "[bench]":
-            lines.insert(index + 1, f"period_us = {period_us}")
-            return "\n".join(lines) + "\n"
-    return "\n".join(lines) + f"\n\n[bench]\nperiod_us = {period_us}\n"
 
 
 def _options(args: argparse.Namespace, loaded: LoadedProfile) -> RunOptions:
     interface, channel = _bus_names(args)
-    stimulus = load_stimulus(args.stimulus, loaded) if args.stimulus else None
+    stimulus = stimulus_named(args.stimulus, loaded) if args.stimulus else None
     if channel is None and stimulus is None:
         raise UsageError(
             "hilrunner run", "no bus and no stimulus", remedy="name a bus (--can vcan0) or a schedule (--stimulus FILE)"
         )
     log_path, log_is_new = (None, False) if args.no_log else _claimed_log(args, loaded)
     return RunOptions(
-        engine=engine_named(loaded, args.engine),
+        engine=engine_named(loaded, None),
         interface=interface,
         channel=channel,
-        bitrate=args.bitrate or loaded.profile.can.bitrate,
-        fd=args.fd or loaded.profile.can.fd,
+        bitrate=loaded.profile.can.bitrate,
+        fd=loaded.profile.can.fd,
         duration_s=args.duration,
         log_path=log_path,
         log_is_new=log_is_new,
         stimulus=stimulus,
-        overrun=args.overrun,
-        spin_us=args.spin_us,
         live_port=args.live,
         require_realtime=args.require_realtime,
         realtime=host.RealtimeOptions(priority=args.priority, cpu=args.cpu),

@@ -10,8 +10,12 @@ ENGINES = ("surrogate", "onnx", "reference")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Options of `hilrunner simulate`."""
-    parser.add_argument("--profile", default="amc-lift", metavar="NAME|FILE", help="default: %(default)s")
-    parser.add_argument("--schedule", metavar="NAME|FILE", help="valve schedule (default: the profile's)")
+    parser.add_argument(
+        "--profile", default="amc-lift", metavar="NAME|FILE", help="default: %(default)s; a log: as it ran"
+    )
+    parser.add_argument(
+        "--schedule", metavar="NAME|FILE", help="valve schedule, CAN log, or the log of a run (default: the profile's)"
+    )
     parser.add_argument("--duration", type=options.seconds, metavar="S", help="default: as long as the schedule")
     parser.add_argument("--engine", choices=ENGINES, help="default: the profile's (bench.engine)")
     parser.add_argument("--compare", choices=ENGINES, metavar="ENGINE", help="a second engine; differences are printed")
@@ -27,13 +31,14 @@ def main(args: argparse.Namespace) -> int:
 
     from hilrunner.base import exit_codes, status
     from hilrunner.commands import simulate_output as output
+    from hilrunner.commands.again import load_again, stimulus_named
     from hilrunner.commands.targets import check_new_log, check_targets, whole
     from hilrunner.setup.axes import check_duration, engine_named
-    from hilrunner.setup.profile import load_profile
+    from hilrunner.setup.parcel import pack
     from hilrunner.setup.simulate import simulate
-    from hilrunner.setup.stimulus import profile_schedule
+    from hilrunner.setup.stimulus import profile_schedule, profile_stimulus
 
-    loaded = load_profile(args.profile)
+    loaded = load_again(args.profile)
     check_duration(args.duration, loaded)
     schedule = args.schedule or profile_schedule(loaded)
     output.check_format(args.plot)
@@ -41,16 +46,24 @@ def main(args: argparse.Namespace) -> int:
     check_targets([args.plot])
     engine = engine_named(loaded, args.engine)
     name = status.ENGINE_NAMES[engine]
-    first = simulate(loaded, engine, schedule, args.duration, output.progress("first"))
+    commands = (
+        stimulus_named(args.schedule, loaded, args.duration)
+        if args.schedule
+        else profile_stimulus(loaded, args.duration)
+    )
+    parcel = None
+    if args.out:
+        networks = {name, args.compare} & {"surrogate", "onnx"}
+        parcel = pack(loaded, engine, models=bool(networks))
+        loaded = parcel.loaded
+    first = simulate(loaded, engine, commands, progress=output.progress("first"))
     second = None
     if args.compare:
-        second = simulate(
-            loaded, status.ENGINE_NAMES.index(args.compare), schedule, args.duration, output.progress("second")
-        )
+        second = simulate(loaded, status.ENGINE_NAMES.index(args.compare), commands, progress=output.progress("second"))
     figures = output.figures(loaded, name, schedule, first, args.compare, second)
     if args.out:
         with whole(args.out) as part:
-            output.write_log(part, loaded, first)
+            output.write_log(part, parcel, first)
     if args.plot:
         with whole(args.plot) as part:
             output.write_plot(part, loaded, first, second, name, args.compare)

@@ -12,6 +12,7 @@ from hilrunner.base.units import M_PER_MM, PA_PER_MPA
 from hilrunner.setup.axes import period_ns
 from hilrunner.setup.load_span import load_warnings
 from hilrunner.setup.model_onnxruntime import engine_errors
+from hilrunner.setup.parcel import Parcel
 from hilrunner.setup.profile import LoadedProfile
 from hilrunner.setup.simulate import Simulated
 
@@ -123,26 +124,20 @@ def text(found: dict) -> str:
     return "\n".join(lines)
 
 
-def write_log(path: Path, loaded: LoadedProfile, run: Simulated) -> None:
+def write_log(path: Path, parcel: Parcel, run: Simulated) -> None:
     """A log like that of a run, label 'simulated clock'; it replays bit for bit."""
     from hilrunner.record.mcap_log import LogWriter
-    from hilrunner.setup.run_manifest import (
-        STIMULUS_ATTACHMENT,
-        STIMULUS_MEDIA_TYPE,
-        run_attachments,
-        run_metadata,
-        stimulus_bytes,
-    )
+    from hilrunner.record.read_back import check_attachments
+    from hilrunner.setup.run_manifest import run_files, run_metadata
 
-    attachments = []
-    for one in run_attachments(loaded, run.engine):
-        data = Path(one.path).read_bytes() if one.path else (one.text or "").encode()
-        attachments.append((one.name, one.media_type, data))
-    attachments.append((STIMULUS_ATTACHMENT, STIMULUS_MEDIA_TYPE, stimulus_bytes(run.armed.bench.stimulus)))
-    metadata = run_metadata(loaded, run.engine, [], None)
+    loaded = parcel.loaded
+    files = run_files(parcel, run.armed.bench.stimulus)
+    attachments = [(one.name, one.media_type, one.data) for one in files]
+    metadata = run_metadata(loaded, files, run.engine, [], None)
     metadata["run"] |= {"exit_reason": status.EXIT_NAMES[status.EXIT_STIMULUS_END], "stimulus": "schedule"}
     names = [axis.name for axis in loaded.profile.axis]
     log = LogWriter(path, names, 64 if loaded.profile.can.fd else 8, metadata, attachments)
+    check_attachments(path, attachments)
     for begin in range(0, len(run.tick), 4096):
         part = slice(begin, begin + 4096)
         log.write_ticks(run.tick[part], run.command[part].reshape(-1), run.state[part].reshape(-1), 0, 0)

@@ -11,10 +11,10 @@ from hilrunner.base.plain_text import plain_keys, plain_line, plain_table
 from hilrunner.base.units import NS_PER_US
 from hilrunner.evidence.reader import Run
 from hilrunner.setup import host
+from hilrunner.setup.effective import PROFILE_ATTACHMENT, profile_of_log
 from hilrunner.setup.host_words import Finding
-from hilrunner.setup.profile import Profile, parse_profile
+from hilrunner.setup.profile import Profile
 
-PROFILE_ATTACHMENT = "profile.toml"
 _NS_PER_MS = 1_000_000
 DEFAULT_PERIOD_NS = _NS_PER_MS
 # what a run can have, as setup.profile bounds it; a period of a later version may be shorter
@@ -101,15 +101,15 @@ def read_facts(run: Run, miss_count: int = 0) -> RunFacts:
 
 
 def _profile(run: Run, notes: list[str]) -> Profile | None:
-    attached = run.attachments.get(PROFILE_ATTACHMENT)
-    if attached is None:
-        notes.append("the log carries no profile: no limits to judge by, period taken from the ticks")
-        return None
+    """The profile as the run used it: the structure the log holds, or of an older log the text."""
     try:
-        return parse_profile(attached.text, f"{run.path}: {PROFILE_ATTACHMENT}")
+        profile = profile_of_log({name: one.data for name, one in run.attachments.items()}, str(run.path))
     except ProfileError as error:
         notes.append(f"the profile in the log is not one of this version: {error}")
         return None
+    if profile is None:
+        notes.append("the log carries no profile: no limits to judge by, period taken from the ticks")
+    return profile
 
 
 def _limits(run: Run, profile: Profile | None) -> dict[str, float]:

@@ -1,8 +1,7 @@
-"""The bench of a log, built again from what the log carries: profile, DBC and models unpacked to a folder of their own."""
+"""The bench of a log, built again from what the log carries, and from nothing else."""
 
 import io
 import math
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,29 +11,33 @@ import numpy as np
 from hilrunner.base import compiled, records, status
 from hilrunner.base.errors import LogError
 from hilrunner.evidence.budget import SKIPPED_PERIODS_MAX
-from hilrunner.evidence.facts import PROFILE_ATTACHMENT
 from hilrunner.evidence.reader import Run
 from hilrunner.realtime import faults as fault_kinds
-from hilrunner.setup.profile import LoadedProfile, load_profile
-from hilrunner.setup.run_manifest import STIMULUS_ATTACHMENT
+from hilrunner.setup.effective import PROFILE_ATTACHMENT, profile_of_log
+from hilrunner.setup.parcel import STIMULUS_ATTACHMENT
+from hilrunner.setup.profile import LoadedProfile, SealedFile
 
 
 @contextmanager
 def unpacked_profile(run: Run) -> Iterator[LoadedProfile]:
-    """The profile of a log with its DBC and models beside it, in a folder that lives as long as the context.
+    """The profile of a log, its DBC and models those of the log; see `sealed_profile`."""
+    yield sealed_profile(run)
+
+
+def sealed_profile(run: Run) -> LoadedProfile:
+    """The profile of a log. Whatever path it names, only the log's own attachments are read, never the file system.
 
     Raises LogError when the log carries no profile; ProfileError when this version refuses it.
     """
-    if PROFILE_ATTACHMENT not in run.attachments:
+    held = {name: one.data for name, one in run.attachments.items()}
+    profile = profile_of_log(held, str(run.path))
+    if profile is None:
         raise LogError(
             str(run.path), "carries no profile, so its bench cannot be built again", remedy="replay a log of `run`"
         )
-    with tempfile.TemporaryDirectory(prefix="hilrunner-replay-") as folder:
-        for name, attached in run.attachments.items():
-            safe = Path(name).name
-            if safe not in ("", ".", ".."):
-                (Path(folder) / safe).write_bytes(attached.data)
-        yield load_profile(str(Path(folder) / PROFILE_ATTACHMENT))
+    text = held.get(PROFILE_ATTACHMENT, b"").decode("utf-8", "replace")
+    files = {name: SealedFile(data, f"{run.path}: {name}") for name, data in held.items()}
+    return LoadedProfile(profile=profile, path=Path(f"{run.path}: profile"), text=text, sealed=files)
 
 
 def engine_of(run: Run, override: str | None = None) -> int:

@@ -86,7 +86,7 @@ def replay_exact(
     first_frame, frames, sizes = _frames(log, ticks, notes)
     number = ticks["tick"].astype(np.int64)
     periods = 1 + ticks["skipped_count"].astype(np.int64)
-    misses, forced = _misses(log, facts, number)
+    misses, forced = known_misses(log, facts, number)
     axes = len(log.axis_names)
     command = records.allocate(records.COMMAND, count * axes).reshape(count, axes)
     state = records.allocate(records.STATE, count * axes).reshape(count, axes)
@@ -151,7 +151,7 @@ def _frames(run: Run, ticks: np.ndarray, notes: list[str]) -> tuple[np.ndarray, 
     return first_frame.astype(np.int64), frames, sizes
 
 
-def _misses(run: Run, facts: RunFacts, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def known_misses(run: Run, facts: RunFacts, number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(misses known to the bench when each tick ran, 1 where a deadline limit forced the fail-safe before it), int64."""
     late = run.miss[run.miss["lateness_ns"] > 0]
     ticks = late["tick"].astype(np.int64)

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class Attachment:
-    """A file to keep inside the log: either `path` or `text` is set."""
+    """A file to keep inside the log: one of `fd` (a memory file the recorder inherits), `path` and `text` is set."""
 
     name: str
     media_type: str
     path: str | None = None
     text: str | None = None
+    fd: int | None = None
 
 
 @dataclass(frozen=True)

@@ -139,6 +139,19 @@ class RecorderHandle:
         return f"ended with code {self.process.poll()}" + (f": {words[-1]}" if words else "")
 
 
+def keep_in_memory(name: str, data: bytes) -> int:
+    """The descriptor of an anonymous memory file with these bytes, for Attachment.fd; `start_recorder` closes it."""
+    fd = os.memfd_create(name[:64], os.MFD_CLOEXEC)
+    try:
+        view = memoryview(data)
+        while view:
+            view = view[os.write(fd, view) :]
+    except OSError as error:
+        os.close(fd)
+        raise LogError(name, f"cannot be handed to the recorder: {error.strerror}") from None
+    return fd
+
+
 def start_recorder(config: recorder_config.RecorderConfig, ring: ring_layout.Ring) -> RecorderHandle:
     """Start the recorder in a session of its own (Ctrl-C does not reach it); `ring` is the one behind config.ring_fd."""
     errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the handle)
@@ -148,7 +161,8 @@ def start_recorder(config: recorder_config.RecorderConfig, ring: ring_layout.Rin
         "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH")))),
         "OPENBLAS_NUM_THREADS": "1",  # no pool of threads beside the loop
     }
-    handed_over = () if config.check is None else (config.check.plants_fd,)
+    handed_over = [one.fd for one in config.attachments if one.fd is not None]
+    handed_over += [] if config.check is None else [config.check.plants_fd]
     try:
         process = subprocess.Popen(
             [sys.executable, "-m", "hilrunner.record"],

@@ -19,6 +19,7 @@ from hilrunner.record.check_worker import CheckWorker
 from hilrunner.record.drain import Drain
 from hilrunner.record.launch import READY_OPEN, READY_REFUSED, attach_ring
 from hilrunner.record.mcap_log import LOG_LEVEL_ERROR, LogWriter
+from hilrunner.record.read_back import check_attachments
 from hilrunner.record.recorder import Recorder
 
 CYCLE_MS = 50
@@ -87,14 +88,21 @@ def open_log(settings: recorder_config.RecorderConfig) -> LogWriter | None:
         return None
     attachments = []
     for one in settings.attachments:
-        if one.path is not None:
-            with open(one.path, "rb") as file:
-                data = file.read()
-        else:
-            data = (one.text or "").encode()
-        attachments.append((one.name, one.media_type, data))
+        attachments.append((one.name, one.media_type, attachment_data(one)))
     shape = ring_layout.RingShape(*settings.ring_shape)
-    return LogWriter(settings.log_path, settings.axis_names, shape.can_data_size, settings.metadata, attachments)
+    log = LogWriter(settings.log_path, settings.axis_names, shape.can_data_size, settings.metadata, attachments)
+    check_attachments(log.path, attachments)
+    return log
+
+
+def attachment_data(one: recorder_config.Attachment) -> bytes:
+    """The bytes of a file that goes into the log."""
+    if one.fd is not None:
+        return os.pread(one.fd, os.fstat(one.fd).st_size, 0)
+    if one.path is not None:
+        with open(one.path, "rb") as file:
+            return file.read()
+    return (one.text or "").encode()
 
 
 def open_live(settings: recorder_config.RecorderConfig):

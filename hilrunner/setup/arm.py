@@ -7,7 +7,6 @@ import numpy as np
 
 from hilrunner.base import records, status
 from hilrunner.base import ring as ring_layout
-from hilrunner.base.errors import ProfileError
 from hilrunner.base.histogram_scale import BUCKET_COUNT
 from hilrunner.base.state_layout import STATE_SIZE
 from hilrunner.base.units import NS_PER_MS, NS_PER_US
@@ -18,8 +17,8 @@ from hilrunner.realtime.layout import ACTION_NAMES, CONFIG, PROGRESS, Bench
 from hilrunner.realtime.miss import NO_SCHEDSTAT, make_usage_scratch
 from hilrunner.realtime.socketcan import make_mailbox
 from hilrunner.setup import axes as axis_setup
-from hilrunner.setup import resources
 from hilrunner.setup.contract import dbc_path, sent_signal_names, signal_tables
+from hilrunner.setup.fault_values import fault_value_si, threshold_si
 from hilrunner.setup.profile import DeadlineLimit, Fault, LoadedProfile
 
 INBOX_FRAMES = 1024  # most frames one tick takes; the rest waits in the socket
@@ -118,12 +117,6 @@ def arm(
     return Armed(bench=bench, loaded=loaded, axes=axes, dbc_path=dbc_path(loaded))
 
 
-def model_paths(loaded: LoadedProfile) -> list[Path]:
-    """The trained models the profile names, each once."""
-    names = dict.fromkeys(axis.model for axis in loaded.profile.axis if axis.model)
-    return [axis_setup.find_file(loaded.path, name, resources.models_folder()) for name in names]
-
-
 def arm_offline(loaded: LoadedProfile, engine: int, stimulus: np.ndarray | None = None) -> Armed:
     """A bench for `realtime.cycle.run_offline`: no recorder, no clock, no bus."""
     shape = ring_shape(loaded, seconds=0.01)._replace(tick_capacity=16, can_capacity=16, miss_capacity=16)
@@ -178,31 +171,25 @@ def _faults(loaded: LoadedProfile) -> np.ndarray:
     table = np.zeros(len(loaded.profile.fault), faults.FAULT)
     names = [axis.name for axis in loaded.profile.axis]
     ticks_per_s = 1_000_000 / loaded.profile.bench.period_us
-    for index, (row, fault) in enumerate(zip(table, loaded.profile.fault, strict=True)):
-        _fill_fault(row, fault, names, ticks_per_s, f"{loaded.path}: fault[{index}]")
+    for row, fault in zip(table, loaded.profile.fault, strict=True):
+        _fill_fault(row, fault, names, ticks_per_s)
     return table
 
 
-def _fill_fault(row: np.void, fault: Fault, names: list[str], ticks_per_s: float, place: str) -> None:
+def _fill_fault(row: np.void, fault: Fault, names: list[str], ticks_per_s: float) -> None:
     row["kind"] = faults.FAULT_NAMES.index(fault.kind)
     row["axis"] = names.index(fault.axis)
-    row["value"] = fault.value
-    row["quantity"] = _quantity(fault.quantity, f"{place}.quantity") if fault.quantity else 0
+    row["value"] = fault_value_si(fault)
+    row["quantity"] = encode.QUANTITY_NAMES.index(fault.quantity) if fault.quantity else 0
     row["duration_ticks"] = round(fault.duration_s * ticks_per_s)
     row["active_from_tick"] = faults.NEVER
     if fault.when is None:
         row["start_tick"] = round(fault.at_s * ticks_per_s)
         return
     row["start_tick"] = faults.NEVER
-    row["condition_quantity"] = _quantity(fault.when.quantity, f"{place}.when.quantity")
+    row["condition_quantity"] = encode.QUANTITY_NAMES.index(fault.when.quantity)
     row["condition_above"] = int(fault.when.above)
-    row["condition_threshold"] = fault.when.threshold
-
-
-def _quantity(name: str, place: str) -> int:
-    if name not in encode.QUANTITY_NAMES:
-        raise ProfileError(place, f"no measured quantity '{name}'", limit=", ".join(encode.QUANTITY_NAMES))
-    return encode.QUANTITY_NAMES.index(name)
+    row["condition_threshold"] = threshold_si(fault.when)
 
 
 def _power_of_two(count: float) -> int:

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from hilrunner.plant import load as plant_load
 from hilrunner.plant import wave as plant_wave
 from hilrunner.plant.parameters import make_parameters
 from hilrunner.plant.step import AxisPlant, initial_state
-from hilrunner.setup import resources
 from hilrunner.setup.profile import Axis, Load, LoadedProfile
 from hilrunner.setup.stability_store import stored_stability_limit_s, stored_substep_count
 
@@ -145,6 +143,7 @@ def _position_range_m(axis: Axis) -> tuple[float, float] | None:
 
 def _networks(loaded: LoadedProfile, axis: Axis, place: str, engine: int, parameters, understood: list | None):
     from hilrunner.setup.model import load_model
+    from hilrunner.setup.parcel import read_model
 
     if axis.model is None:
         raise ProfileError(
@@ -153,7 +152,7 @@ def _networks(loaded: LoadedProfile, axis: Axis, place: str, engine: int, parame
             remedy='name a trained model, or the first-principle model by engine = "reference" under [bench] or by --engine reference',
         )
     networks, report = load_model(
-        find_file(loaded.path, axis.model, resources.models_folder()),
+        read_model(loaded, axis.model),
         circuit=axis.circuit,
         parameters=parameters,
         in_loop=engine == status.ENGINE_ONNX,
@@ -162,14 +161,6 @@ def _networks(loaded: LoadedProfile, axis: Axis, place: str, engine: int, parame
     if understood is not None:
         understood.append(report)
     return networks
-
-
-def find_file(profile_path: Path, name: str, shipped_folder: Path) -> Path:
-    """A file named by a profile: relative to the profile, by its bare name beside it (unpacked logs), or among what ships."""
-    for candidate in (profile_path.parent / name, profile_path.parent / Path(name).name):
-        if candidate.is_file():
-            return candidate
-    return shipped_folder / name
 
 
 def _substeps(loaded: LoadedProfile, axis: Axis, plant: AxisPlant, place: str) -> int:

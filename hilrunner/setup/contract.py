@@ -1,26 +1,65 @@
 """The CAN contract of a profile: which DBC, which mapping, and the integer tables the loop works with."""
 
+import tempfile
+from functools import lru_cache
 from pathlib import Path
 
 from hilrunner.base.errors import DbcError, ProfileError
 from hilrunner.realtime.decode import CommandTable
 from hilrunner.realtime.encode import MeasurementTable
 from hilrunner.setup import resources
-from hilrunner.setup.axes import find_file, period_ns
+from hilrunner.setup.axes import period_ns
 from hilrunner.setup.database import load_database
 from hilrunner.setup.mapping import HEAVE_MESSAGE, AxisMapping, default_mapping
-from hilrunner.setup.profile import LoadedProfile
+from hilrunner.setup.profile import LoadedProfile, SealedFile
+from hilrunner.setup.profile_files import find_file, sealed_file
 from hilrunner.setup.signals import load_signals
+
+DBC_SIZE_MAX_BYTES = 64 * 1024 * 1024
 
 
 def dbc_path(loaded: LoadedProfile) -> Path:
-    """The DBC a profile names: beside it, or the shipped one; DbcError where there is none."""
-    path = find_file(loaded.path, loaded.profile.can.dbc, resources.firmware_interface_folder())
+    """The DBC a profile names: beside it, or the shipped one, or that of its log; DbcError where there is none."""
+    found = sealed_file(loaded, loaded.profile.can.dbc)
+    if found is not None:
+        return found.path or _unpacked(Path(loaded.profile.can.dbc).name, found.data).path
+    path = find_file(loaded, loaded.profile.can.dbc, resources.firmware_interface_folder())
     if not path.is_file():
         raise DbcError(
             f"{loaded.path}: can.dbc", f"no such file: {loaded.profile.can.dbc}", remedy="name a DBC beside the profile"
         )
     return path
+
+
+class _Unpacked:
+    """A file of a log on disk, under its own name, for libraries that read files; it goes with the process."""
+
+    def __init__(self, name: str, data: bytes) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="hilrunner-dbc-")
+        self.path = Path(self._folder.name) / name
+        self.path.write_bytes(data)
+
+
+@lru_cache(maxsize=8)
+def _unpacked(name: str, data: bytes) -> _Unpacked:
+    """Set-up asks several times for one DBC."""
+    return _Unpacked(name, data)
+
+
+def read_dbc(loaded: LoadedProfile) -> SealedFile:
+    """The DBC a profile names, as bytes; DbcError where it cannot be read."""
+    found = sealed_file(loaded, loaded.profile.can.dbc)
+    if found is not None:
+        return found
+    path = dbc_path(loaded)
+    try:
+        if path.stat().st_size > DBC_SIZE_MAX_BYTES:
+            raise DbcError(
+                str(path), f"{path.stat().st_size >> 20} MiB", f"at most {DBC_SIZE_MAX_BYTES >> 20} MiB", "name a DBC"
+            )
+        return SealedFile(path.read_bytes(), str(path), path)
+    except OSError as error:
+        raise DbcError(str(path), f"cannot be read ({error.strerror})", remedy="name an existing DBC file") from error
 
 
 def signal_tables(loaded: LoadedProfile) -> tuple[CommandTable, MeasurementTable]:

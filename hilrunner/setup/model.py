@@ -5,8 +5,6 @@ it), graph to layers, numbers finite, plant parameters, and last a comparison of
 random points: golden vectors inside a file whose data sheet vouches for its hash, else onnxruntime itself.
 """
 
-import hashlib
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,12 +14,10 @@ from hilrunner.base.errors import ModelError
 from hilrunner.plant.foreign_call import layout
 from hilrunner.plant.head import KERNEL_NAMES
 from hilrunner.plant.network import RECIPE_NAMES, ROLES, Mlp, SurrogateNetworks, assemble_bank, forward_many
-from hilrunner.setup import model_text
+from hilrunner.setup import model_file, model_text
 from hilrunner.setup.model_graph import Chain, Graph
 from hilrunner.setup.model_onnxruntime import bind, reasons
 
-FILE_SIZE_MAX_BYTES = 64 * 1024 * 1024  # the largest network a period could evaluate is far smaller
-OPSET_MAX = 26  # of onnxruntime 1.31
 COMPARED_POINTS = 256
 DOUBLE_TOLERANCE_RATIO = 1e-10  # of the outputs' range over the compared points: rounding, nothing else
 SINGLE_TOLERANCE_RATIO = 2e-5
@@ -51,7 +47,7 @@ class ModelReport:
 
 
 def load_model(
-    path: Path,
+    path: Path | model_file.ModelFile,
     circuit: str,
     parameters: np.ndarray | None = None,
     in_loop: bool = False,
@@ -60,7 +56,7 @@ def load_model(
     """The networks of one axis from an ONNX file.
 
     Args:
-        path: the file.
+        path: the file, or what was read of it.
         circuit: status.CIRCUIT_NAMES; the file must be for it.
         parameters: PARAMETERS record (1,); what the networks were trained for must agree with it. None: not checked.
         in_loop: run the networks by onnxruntime (engine onnx) instead of the compiled kernels.
@@ -69,20 +65,11 @@ def load_model(
     Raises:
         ModelError: anything about the file that is missing, damaged, foreign or does not agree.
     """
-    path = Path(path)
-    place = str(path)
-    data = _read(path)
-    digest = hashlib.sha256(data).hexdigest()
-    model, data = _parse(place, data, path)
-    sheet = _data_sheet(path)
-    vouched = sheet.get("sha256") == digest
-    if "sha256" in sheet and not vouched:
-        raise ModelError(
-            place,
-            "is not the file its data sheet describes (sha256 differs)",
-            remedy="restore the file, or export again",
-        )
-    text = model_text.read_text(place, _properties(model, sheet, description))
+    file = path if isinstance(path, model_file.ModelFile) else model_file.read_model_file(Path(path))
+    place, digest = file.place, file.digest
+    model, data = model_file.parse(file)
+    vouched = file.vouched()
+    text = model_text.read_text(place, model_file.properties(model, file.sheet(), description))
     if text.circuit != circuit:
         raise ModelError(place, f"is for circuit '{text.circuit}'", f"'{circuit}'", "name another model in the profile")
     if parameters is not None:
@@ -97,113 +84,10 @@ def load_model(
         recipe=RECIPE_NAMES.index(text.recipe),
         networks=networks,
         circuit=text.circuit,
-        source=f"{path.name} sha256 {digest}",
+        source=f"{file.name} sha256 {digest}",
         keep_alive=keep_alive,
     )
-    return surrogate, ModelReport(path, digest, text.circuit, text.recipe, tuple(lines), worst)
-
-
-def _read(path: Path) -> bytes:
-    try:
-        size = path.stat().st_size
-        if size > FILE_SIZE_MAX_BYTES:
-            raise ModelError(
-                str(path), f"{size / 2**20:.0f} MiB", f"at most {FILE_SIZE_MAX_BYTES >> 20} MiB", "a smaller network"
-            )
-        data = path.read_bytes()
-    except OSError as error:
-        raise ModelError(
-            str(path), f"cannot be read: {error.strerror}", remedy="check `model` in the profile"
-        ) from error
-    if not data:
-        raise ModelError(str(path), "is empty", remedy="export or copy it again")
-    return data
-
-
-def _parse(place: str, data: bytes, path: Path):
-    import onnx
-    from google.protobuf.message import DecodeError
-
-    try:
-        model = onnx.ModelProto.FromString(data)
-    except DecodeError as error:
-        raise ModelError(place, "is damaged or no ONNX file", remedy="export or copy it again") from error
-    if not model.HasField("graph") or not model.graph.node or not model.graph.output or not model.opset_import:
-        raise ModelError(place, "holds no complete graph: cut off, or no ONNX file", remedy="export or copy it again")
-    versions = [entry.version for entry in model.opset_import if entry.domain in ("", "ai.onnx")]
-    if versions and max(versions) > OPSET_MAX:
-        raise ModelError(place, f"opset {max(versions)}", f"at most {OPSET_MAX}", "export with opset 20 or lower")
-    if _inline_external(place, model, path):
-        data = model.SerializeToString()  # onnxruntime must not look for files again
-    return model, data
-
-
-def _inline_external(place: str, model, path: Path) -> bool:
-    """Weights stored beside the file are read if they lie in its folder, and refused anywhere else."""
-    from onnx import TensorProto
-    from onnx.external_data_helper import load_external_data_for_tensor
-
-    folder = path.resolve().parent
-    found = False
-    for tensor in _tensors(model):
-        if tensor.data_location != TensorProto.EXTERNAL:
-            continue
-        entries = {entry.key: entry.value for entry in tensor.external_data}
-        location = entries.get("location", "")
-        target = (folder / location).resolve()
-        if not location or Path(location).is_absolute() or not target.is_relative_to(folder):
-            raise ModelError(
-                place, f"keeps '{tensor.name}' in '{location}', outside its folder", "one file", "save it as one file"
-            )
-        if not target.is_file():
-            raise ModelError(
-                place, f"keeps '{tensor.name}' in '{location}', which is not there", remedy="copy it as well"
-            )
-        if target.stat().st_size > FILE_SIZE_MAX_BYTES:
-            raise ModelError(
-                place,
-                f"keeps {target.stat().st_size >> 20} MiB in '{location}'",
-                f"at most {FILE_SIZE_MAX_BYTES >> 20} MiB",
-            )
-        try:
-            load_external_data_for_tensor(tensor, str(folder))
-        except Exception as error:  # onnx raises its own checker errors, ValueError and OSError here
-            raise ModelError(place, f"external data of '{tensor.name}' cannot be read: {error}") from error
-        tensor.data_location = TensorProto.DEFAULT
-        del tensor.external_data[:]
-        found = True
-    return found
-
-
-def _tensors(model):
-    yield from model.graph.initializer
-    for node in model.graph.node:
-        for attribute in node.attribute:
-            if attribute.HasField("t"):
-                yield attribute.t
-
-
-def _data_sheet(path: Path) -> dict:
-    """The JSON beside the file: our data sheet (with its sha256), or a user's description of a foreign model."""
-    beside = path.with_name(path.name + ".json")
-    if not beside.is_file():
-        return {}
-    try:
-        sheet = json.loads(beside.read_text("utf-8"))
-    except (OSError, ValueError) as error:
-        raise ModelError(str(beside), f"cannot be read: {error}", "JSON") from error
-    if not isinstance(sheet, dict):
-        raise ModelError(str(beside), "is not a JSON object", "an object with the hil.* keys of docs/surrogate.md")
-    return sheet
-
-
-def _properties(model, sheet: dict, description: dict | None) -> dict[str, str]:
-    properties = {entry.key: entry.value for entry in model.metadata_props}
-    for source in (sheet, description or {}):
-        for key, value in source.items():
-            if key.startswith("hil.") and (source is description or key not in properties):
-                properties[key] = value if isinstance(value, str) else json.dumps(value)
-    return properties
+    return surrogate, ModelReport(Path(file.name), digest, text.circuit, text.recipe, tuple(lines), worst)
 
 
 def _check_parameters(place: str, text: model_text.ModelText, parameters: np.ndarray) -> None:

@@ -1,13 +1,15 @@
 """A profile: one TOML file that says what a bench is. Engineering units with the unit in every key; checked when loaded.
 
 The structs below *are* the format: an unknown key, a wrong type or a value out of range is refused with the place, the value,
-the limit and the remedy. Conversion to SI happens in `setup.arm`.
+the limit and the remedy. Every number has a range, because every number scales either work or state: the ranges are generous, and a
+value outside them is a slip of the pen. The sentence beside a key is what docs/profiles.md prints. Conversion to SI happens in
+`setup.arm`, `setup.axes` and `setup.fault_values`.
 """
 
 import difflib
-import math
-import re
+import os
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -16,166 +18,310 @@ from msgspec import Meta, Struct, field
 
 from hilrunner.base.errors import ProfileError
 from hilrunner.setup import resources
-from hilrunner.setup.limits import read_limits
-from hilrunner.setup.signals import AxisMapping
+from hilrunner.setup.mapping import AxisMapping
+from hilrunner.setup.profile_check import check_numbers, check_relations
+from hilrunner.setup.profile_errors import explain
 
-Positive = Annotated[float, Meta(gt=0)]
-NotNegative = Annotated[float, Meta(ge=0)]
-_HOUR_MS, _LONGEST_S = 3_600_000.0, 1e7
+TEXT_SIZE_MAX_BYTES = 4 * 1024 * 1024  # a profile is written by hand
+_HOUR_MS, _LONGEST_S, _LONGEST_MM, _COUNT_MAX, _SEED_MAX = 3_600_000.0, 1e7, 100_000.0, 10**12, 2**63 - 1
+_FORCE_KN = 100_000.0  # 100 MN: ten times the largest cylinders of cranes
+_TABLE_ROWS_MAX = 129  # plant.load.KNOT_LIMIT
+_FILE_NAME = r"^[^\x00-\x1f\x7f]+$"
 AxisName = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]*$", max_length=32)]
+FileName = Annotated[str, Meta(pattern=_FILE_NAME, max_length=1024)]
+Millimetres = Annotated[float, Meta(ge=-_LONGEST_MM, le=_LONGEST_MM)]
+Kilonewtons = Annotated[float, Meta(ge=-_FORCE_KN, le=_FORCE_KN)]
 
 
 class Bench(Struct, forbid_unknown_fields=True, frozen=True):
     """The loop."""
 
-    period_us: Annotated[int, Meta(ge=50, le=1_000_000)] = 1000
-    warm_up_ticks: Annotated[int, Meta(ge=0, le=1_000_000)] = 100  # run and logged, but kept out of the statistics
-    overrun: Literal["skip", "catch-up", "stop"] = "skip"
-    spin_us: Annotated[int, Meta(ge=0, le=10_000)] = 0
-    rehearse: bool = True
-    engine: Literal["surrogate", "reference", "onnx"] = "surrogate"  # where the command names none
+    period_us: Annotated[int, Meta(ge=50, le=1_000_000, description="the fixed period of the loop")] = 1000
+    warm_up_ticks: Annotated[
+        int, Meta(ge=0, le=1_000_000, description="first ticks: run and logged, but kept out of the statistics")
+    ] = 100
+    overrun: Annotated[
+        Literal["skip", "catch-up", "stop"],
+        Meta(description="what happens to periods that a late tick has cost (docs/realtime.md)"),
+    ] = "skip"
+    spin_us: Annotated[
+        int, Meta(ge=0, le=10_000, description="sleep this much short of the deadline and spin the rest")
+    ] = 0
+    rehearse: Annotated[
+        bool,
+        Meta(description="run the tick once for practice while waiting, so that its code is warm (docs/realtime.md)"),
+    ] = True
+    engine: Annotated[
+        Literal["surrogate", "reference", "onnx"], Meta(description="the plant, where the command names none")
+    ] = "surrogate"
 
 
 class Load(Struct, forbid_unknown_fields=True, frozen=True):
     """Static load over rod position."""
 
-    kind: Literal["knuckle-boom", "constant", "table"] = "knuckle-boom"
-    force_kn: float | None = None  # constant
-    position_mm: tuple[float, ...] = ()  # table
-    table_force_kn: tuple[float, ...] = ()  # table
-    perturbation_std_ratio: Annotated[float, Meta(ge=0, le=0.5)] = 0.0
-    perturbation_seed: Annotated[int, Meta(ge=0)] = 0
-    equivalent_mass: bool = False  # moving mass from the geometry, M_eq(x), instead of mass_kg
+    kind: Annotated[
+        Literal["knuckle-boom", "constant", "table"], Meta(description="geometry of a crane, one force, or a table")
+    ] = "knuckle-boom"
+    force_kn: Annotated[
+        Kilonewtons | None,
+        Meta(description="of kind `constant`: the force that pushes the rod in; negative pulls it out"),
+    ] = None
+    position_mm: Annotated[
+        tuple[Millimetres, ...], Meta(max_length=_TABLE_ROWS_MAX, description="of kind `table`: increasing positions")
+    ] = ()
+    table_force_kn: Annotated[
+        tuple[Kilonewtons, ...], Meta(max_length=_TABLE_ROWS_MAX, description="of kind `table`: the force at each")
+    ] = ()
+    perturbation_std_ratio: Annotated[
+        float, Meta(ge=0, le=0.5, description="standard deviation of a random factor on every knot of the load")
+    ] = 0.0
+    perturbation_seed: Annotated[int, Meta(ge=0, le=_SEED_MAX, description="seed of that factor")] = 0
+    equivalent_mass: Annotated[
+        bool,
+        Meta(
+            description="of kind `knuckle-boom`: the moving mass follows from the geometry and comes on top of mass_kg"
+        ),
+    ] = False
 
 
 class Wave(Struct, forbid_unknown_fields=True, frozen=True):
     """Vessel heave under a JONSWAP sea (DNV-RP-C205), reflected to the load."""
 
-    significant_height_m: Annotated[float, Meta(gt=0, le=20)]
-    peak_period_s: Annotated[float, Meta(ge=2, le=30)]
-    seed: Annotated[int, Meta(ge=0)] = 1
+    significant_height_m: Annotated[float, Meta(gt=0, le=20, description="Hs of the sea")]
+    peak_period_s: Annotated[float, Meta(ge=2, le=30, description="Tp of the sea")]
+    seed: Annotated[int, Meta(ge=0, le=_SEED_MAX, description="seed of frequencies and phases")] = 1
 
 
 class CommandRules(Struct, forbid_unknown_fields=True, frozen=True):
     """Ageing of commands: stale, hold, ramp to neutral, latched fail-safe."""
 
-    stale_after_ms: Annotated[float, Meta(gt=0, le=_HOUR_MS)] = 50.0
-    hold_for_ms: Annotated[float, Meta(ge=0, le=_HOUR_MS)] = 50.0
-    ramp_for_ms: Annotated[float, Meta(ge=0, le=_HOUR_MS)] = 100.0
+    stale_after_ms: Annotated[
+        float, Meta(gt=0, le=_HOUR_MS, description="age at which a command is stale; at least one period")
+    ] = 50.0
+    hold_for_ms: Annotated[float, Meta(ge=0, le=_HOUR_MS, description="how long a stale command is still held")] = 50.0
+    ramp_for_ms: Annotated[
+        float, Meta(ge=0, le=_HOUR_MS, description="then the valve goes to neutral in this time, and fail-safe latches")
+    ] = 100.0
 
 
 class Axis(Struct, forbid_unknown_fields=True, frozen=True):
     """One actuator."""
 
-    name: AxisName
-    circuit: Literal["paper", "lift", "lift-lines"] = "lift"
-    preset: str = "lift"
-    initial_position_mm: Annotated[float, Meta(ge=0, le=100_000)] = 600.0
-    # where the rod is meant to be, stability is judged there; None: the whole stroke
-    position_range_mm: tuple[NotNegative, NotNegative] | None = None
-    model: str | None = None  # file under profiles/models, or a path relative to the profile
-    network: dict[str, Any] = field(default_factory=dict)  # hil.* keys for a model without metadata (docs/surrogate.md)
-    reference: Literal["exact", "fast"] = "exact"
-    reference_substeps: Annotated[int, Meta(ge=0, le=10_000)] = 0  # 0: chosen from the stability limit
-    surrogate_substeps: Annotated[int, Meta(ge=0, le=10_000)] = 0
-    parameters: dict[str, float] = field(default_factory=dict)  # overrides of the preset, keys of plant.parameters
-    load: Load = Load()
-    wave: Wave | None = None
-    command: CommandRules = CommandRules()
+    name: Annotated[AxisName, Meta(description="small letters, digits and underscores; names its topics in the log")]
+    circuit: Annotated[
+        Literal["paper", "lift", "lift-lines"],
+        Meta(
+            description="the article's circuit, both directions, or both directions with line volumes (docs/plant.md)"
+        ),
+    ] = "lift"
+    preset: Annotated[str, Meta(max_length=64, description="set of constants the parameters start from")] = "lift"
+    initial_position_mm: Annotated[
+        float, Meta(ge=0, le=_LONGEST_MM, description="rod position before the first tick, within the stroke")
+    ] = 600.0
+    position_range_mm: Annotated[
+        tuple[Annotated[float, Meta(ge=0, le=_LONGEST_MM)], Annotated[float, Meta(ge=0, le=_LONGEST_MM)]] | None,
+        Meta(description="where the rod is meant to be: stability is judged there; without it, over the whole stroke"),
+    ] = None
+    model: Annotated[
+        FileName | None,
+        Meta(description="trained network: a path relative to the profile, or a file that ships in profiles/models"),
+    ] = None
+    network: Annotated[
+        dict[str, Any],
+        Meta(max_length=64, description="`hil.*` keys that describe a network without metadata (docs/surrogate.md)"),
+    ] = field(default_factory=dict)
+    reference: Annotated[
+        Literal["exact", "fast"], Meta(description="first-principle model: with the masses of the spools, or without")
+    ] = "exact"
+    reference_substeps: Annotated[
+        int,
+        Meta(ge=0, le=10_000, description="steps of RK4 a period of the first-principle model; 0: chosen by stability"),
+    ] = 0
+    surrogate_substeps: Annotated[
+        int, Meta(ge=0, le=10_000, description="steps of RK4 a period of the surrogate; 0: chosen by stability")
+    ] = 0
+    parameters: Annotated[
+        dict[str, float], Meta(max_length=256, description="constants in place of the preset's, see the table below")
+    ] = field(default_factory=dict)
+    load: Annotated[Load, Meta(description="static load over rod position")] = Load()
+    wave: Annotated[Wave | None, Meta(description="heave of the vessel; without it the vessel lies still")] = None
+    command: Annotated[CommandRules, Meta(description="ageing of valve commands")] = CommandRules()
 
 
 class Can(Struct, forbid_unknown_fields=True, frozen=True):
     """The bus and the contract with the firmware."""
 
-    dbc: str = "actuator.dbc"  # file under firmware_iface, or a path relative to the profile
-    bitrate: Annotated[int, Meta(ge=10_000, le=8_000_000)] = 1_000_000  # for the bus load; vcan has none
-    fd: bool = False
-    mapping: tuple[AxisMapping, ...] = ()  # own DBC: one [[can.mapping]] an axis; empty: the shipped DBC
+    dbc: Annotated[
+        FileName, Meta(description="a path relative to the profile, or a file that ships in firmware_iface")
+    ] = "actuator.dbc"
+    bitrate: Annotated[
+        int, Meta(ge=10_000, le=8_000_000, description="bit/s, where the interface sets it, and for the bus load")
+    ] = 1_000_000
+    fd: Annotated[bool, Meta(description="CAN FD frames")] = False
+    mapping: Annotated[
+        tuple[AxisMapping, ...],
+        Meta(max_length=32, description="own DBC: one `[[can.mapping]]` an axis; without it, that of the shipped DBC"),
+    ] = ()
 
 
 class DeadlineLimit(Struct, forbid_unknown_fields=True, frozen=True):
     """One limit on late ticks with its action."""
 
-    max: Annotated[int, Meta(ge=0)]
-    action: Literal["warn", "fail-safe", "stop"] = "stop"
+    max: Annotated[int, Meta(ge=0, le=_COUNT_MAX, description="most that is still good; lateness in microseconds")]
+    action: Annotated[Literal["warn", "fail-safe", "stop"], Meta(description="what happens beyond it")] = "stop"
 
 
 class Deadline(Struct, forbid_unknown_fields=True, frozen=True):
     """Limits on late ticks; an absent one is not watched."""
 
-    consecutive_misses: DeadlineLimit | None = None
-    total_misses: DeadlineLimit | None = None
-    lateness_us: DeadlineLimit | None = None
+    consecutive_misses: Annotated[DeadlineLimit | None, Meta(description="late ticks one behind the other")] = None
+    total_misses: Annotated[DeadlineLimit | None, Meta(description="late ticks of the whole run")] = None
+    lateness_us: Annotated[DeadlineLimit | None, Meta(description="how long after its period a tick may end")] = None
+
+
+Tolerance = Annotated[float, Meta(gt=0, le=1000)]
 
 
 class CrossCheck(Struct, forbid_unknown_fields=True, frozen=True):
     """Online comparison with the compiled first-principle model."""
 
-    enabled: bool = True
-    every_n_ticks: Annotated[int, Meta(ge=1, le=100_000)] = 1
-    pressure_tolerance_mpa: Positive = 0.02
-    position_tolerance_mm: Positive = 0.1
-    one_step_pressure_tolerance_mpa: Positive = 0.01
-    sustained_pressure_tolerance_mpa: Positive = 0.01  # of the error's mean over the last second of an open valve
+    enabled: Annotated[bool, Meta(description="whether the run is checked")] = True
+    every_n_ticks: Annotated[int, Meta(ge=1, le=100_000, description="one tick in so many is checked by itself")] = 1
+    pressure_tolerance_mpa: Annotated[Tolerance, Meta(description="of the free-running model beside the run")] = 0.02
+    position_tolerance_mm: Annotated[
+        float, Meta(gt=0, le=_LONGEST_MM, description="of the free-running model beside the run")
+    ] = 0.1
+    one_step_pressure_tolerance_mpa: Annotated[
+        Tolerance, Meta(description="of one period from the run's own state")
+    ] = 0.01
+    sustained_pressure_tolerance_mpa: Annotated[
+        Tolerance, Meta(description="of the error's mean over the last second of an open valve")
+    ] = 0.01
+
+
+Ratio = Annotated[float, Meta(ge=-1000, le=1000)]
+Pressure = Annotated[float, Meta(ge=-1000, le=1000)]
 
 
 class FaultCondition(Struct, forbid_unknown_fields=True, frozen=True):
-    """Start a fault when a measured quantity crosses a threshold (SI unit of the quantity)."""
+    """Start a fault when a measured quantity crosses a threshold; exactly one threshold, in the unit of the quantity."""
 
-    quantity: str
-    threshold: float
-    above: bool = True
+    quantity: Annotated[str, Meta(max_length=64, description="the measured quantity that is watched")]
+    above: Annotated[bool, Meta(description="begin above the threshold; false: below it")] = True
+    threshold_mpa: Annotated[Pressure | None, Meta(description="of a pressure")] = None
+    threshold_mm: Annotated[Millimetres | None, Meta(description="of a position")] = None
+    threshold_mmps: Annotated[Millimetres | None, Meta(description="of a velocity")] = None
+    threshold_kn: Annotated[Kilonewtons | None, Meta(description="of a force")] = None
+    threshold: Annotated[
+        Annotated[float, Meta(ge=-1e12, le=1e12)] | None,
+        Meta(
+            description="of a quantity without unit; for others the SI value, as profiles had it before: write the unit"
+        ),
+    ] = None
 
 
 class Fault(Struct, forbid_unknown_fields=True, frozen=True):
-    """One injected fault; `at_s` or `when` starts it."""
+    """One injected fault; `at_s` or `when` starts it. Its strength stands in the key of its kind and unit."""
 
-    kind: Literal[
-        "valve-stuck",
-        "valve-gain",
-        "load-factor",
-        "sensor-offset",
-        "sensor-gain",
-        "sensor-stuck",
-        "measurement-lost",
-        "measurement-bad-crc",
-        "command-lost",
+    kind: Annotated[
+        Literal[
+            "valve-stuck",
+            "valve-gain",
+            "load-factor",
+            "sensor-offset",
+            "sensor-gain",
+            "sensor-stuck",
+            "measurement-lost",
+            "measurement-bad-crc",
+            "command-lost",
+        ],
+        Meta(description="what goes wrong"),
     ]
-    axis: AxisName
-    value: float = 0.0
-    quantity: str | None = None
-    at_s: Annotated[float, Meta(ge=0, le=_LONGEST_S)] | None = None
-    when: FaultCondition | None = None
-    duration_s: Annotated[float, Meta(ge=0, le=_LONGEST_S)] = 0.0  # 0: until the end
+    axis: Annotated[AxisName, Meta(description="the axis it happens to")]
+    valve_command: Annotated[
+        Annotated[float, Meta(ge=-1, le=1)] | None, Meta(description="of `valve-stuck`: what the plant sees instead")
+    ] = None
+    gain: Annotated[Ratio | None, Meta(description="of `valve-gain` and `sensor-gain`: the factor")] = None
+    load_factor: Annotated[
+        Annotated[float, Meta(ge=-100, le=100)] | None, Meta(description="of `load-factor`: the static load times this")
+    ] = None
+    offset_mpa: Annotated[Pressure | None, Meta(description="of `sensor-offset` on a pressure")] = None
+    offset_mm: Annotated[Millimetres | None, Meta(description="of `sensor-offset` on a position")] = None
+    offset_mmps: Annotated[Millimetres | None, Meta(description="of `sensor-offset` on a velocity")] = None
+    offset_kn: Annotated[Kilonewtons | None, Meta(description="of `sensor-offset` on a force")] = None
+    offset: Annotated[
+        Annotated[float, Meta(ge=-1e12, le=1e12)] | None,
+        Meta(description="of `sensor-offset` on a quantity without unit"),
+    ] = None
+    value: Annotated[
+        Annotated[float, Meta(ge=-1e12, le=1e12)] | None,
+        Meta(description="as profiles had it before, in SI units: write the key of the kind and unit instead"),
+    ] = None
+    quantity: Annotated[
+        Annotated[str, Meta(max_length=64)] | None,
+        Meta(description="of the sensor faults: the measured quantity"),
+    ] = None
+    at_s: Annotated[
+        Annotated[float, Meta(ge=0, le=_LONGEST_S)] | None, Meta(description="begins at this time from tick 0")
+    ] = None
+    when: Annotated[FaultCondition | None, Meta(description="begins by a condition")] = None
+    duration_s: Annotated[float, Meta(ge=0, le=_LONGEST_S, description="how long it lasts; 0: until the end")] = 0.0
 
 
 class Stimulus(Struct, forbid_unknown_fields=True, frozen=True):
     """What `hilrunner simulate` feeds when no schedule is given."""
 
-    schedule: str = "lift-hold-lower-hold"
+    schedule: Annotated[FileName, Meta(description="name of a schedule, or a file (relative to the profile)")] = (
+        "lift-hold-lower-hold"
+    )
 
 
 class Profile(Struct, forbid_unknown_fields=True, frozen=True):
     """One bench."""
 
-    name: Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9-]*$", max_length=64)]
-    axis: Annotated[tuple[Axis, ...], Meta(min_length=1, max_length=32)]
-    description: str = ""
-    bench: Bench = Bench()
-    can: Can = Can()
-    deadline: Deadline = Deadline()
-    crosscheck: CrossCheck = CrossCheck()
-    limits: dict[str, Any] = field(default_factory=dict)  # setup.limits names them
-    stimulus: Stimulus = Stimulus()
-    fault: tuple[Fault, ...] = ()
+    name: Annotated[
+        str,
+        Meta(pattern=r"^[a-z0-9][a-z0-9-]*$", max_length=64, description="small letters, digits and hyphens"),
+    ]
+    axis: Annotated[
+        tuple[Axis, ...], Meta(min_length=1, max_length=32, description="the actuators, one `[[axis]]` each")
+    ]
+    description: Annotated[str, Meta(max_length=10_000, description="for people")] = ""
+    bench: Annotated[Bench, Meta(description="the loop")] = Bench()
+    can: Annotated[Can, Meta(description="the bus")] = Can()
+    deadline: Annotated[Deadline, Meta(description="limits on late ticks that act while the bench runs")] = Deadline()
+    crosscheck: Annotated[CrossCheck, Meta(description="comparison with first principles")] = CrossCheck()
+    limits: Annotated[
+        dict[str, Any],
+        Meta(max_length=256, description="what a run must keep to pass its verdict, see the table below"),
+    ] = field(default_factory=dict)
+    stimulus: Annotated[Stimulus, Meta(description="commands without a bus")] = Stimulus()
+    fault: Annotated[tuple[Fault, ...], Meta(max_length=256, description="injected faults, one `[[fault]]` each")] = ()
+
+
+class SealedFile(Struct, frozen=True):
+    """A file of a parcel or a log: its bytes, how errors call it, and where the same bytes lie on disk if a run read them there."""
+
+    data: bytes
+    place: str
+    path: Path | None = None
 
 
 class LoadedProfile(Struct, frozen=True):
-    """A checked profile with where it came from."""
+    """A checked profile with where it came from.
+
+    `sealed` holds the files a profile out of a log may name: for such a profile there is no file system, whatever path it names.
+    None: names are looked up beside the profile and among what ships.
+    """
 
     profile: Profile
     path: Path
     text: str
+    sealed: Mapping[str, SealedFile] | None = None
+
+    def changed(self, **keys: Any) -> "LoadedProfile":
+        """The same profile with tables of it replaced (`bench=...`), its text left as it was written."""
+        return msgspec.structs.replace(self, profile=msgspec.structs.replace(self.profile, **keys))
 
 
 def available_profiles() -> list[str]:
@@ -194,6 +340,11 @@ def load_profile(name_or_path: str) -> LoadedProfile:
     """
     path = _find(name_or_path)
     try:
+        size = os.stat(path).st_size
+        if size > TEXT_SIZE_MAX_BYTES:
+            raise ProfileError(
+                str(path), f"{size / 2**20:.0f} MiB", f"at most {TEXT_SIZE_MAX_BYTES >> 20} MiB", "name a profile"
+            )
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ProfileError(str(path), f"cannot be read: {error}", remedy="name a readable UTF-8 TOML file") from error
@@ -204,15 +355,32 @@ def parse_profile(text: str, place: str) -> Profile:
     """Check the text of a profile; `place` is named in errors."""
     try:
         raw = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except RecursionError as error:
+        raise ProfileError(place, "is nested too deeply to be read", remedy="a profile needs five levels") from error
+    except ValueError as error:  # tomllib's own error, and Python's of a number with thousands of digits
         raise ProfileError(place, f"not TOML: {error}", remedy="mend the syntax at that line") from error
+    return convert_profile(raw, place)
+
+
+def convert_profile(raw: dict, place: str) -> Profile:
+    """Check the tables of a profile as plain values."""
     try:
         profile = msgspec.convert(raw, Profile, strict=True)
+        check_numbers(raw, place, "")
     except msgspec.ValidationError as error:
-        raise _explain(place, raw, str(error)) from error
-    _check_numbers(raw, place, "")
-    _check_relations(profile, place)
+        raise explain(Profile, place, raw, str(error)) from error
+    except RecursionError as error:
+        raise ProfileError(place, "is nested too deeply to be read", remedy="a profile needs five levels") from error
+    except OverflowError as error:
+        raise ProfileError(place, f"holds a number that is too large: {error}", remedy="correct the value") from error
+    check_relations(profile, place)
     return profile
+
+
+def checked(loaded: LoadedProfile) -> LoadedProfile:
+    """A profile after a change of its tables; ProfileError where the relations between its values no longer hold."""
+    check_relations(loaded.profile, str(loaded.path))
+    return loaded
 
 
 def _find(name_or_path: str) -> Path:
@@ -231,161 +399,6 @@ def _find(name_or_path: str) -> Path:
             f"--profile {name_or_path}",
             "no such profile",
             limit=", ".join(available_profiles()),
-            remedy=f"{hint}name one of these or a path to a TOML file",
+            remedy=f"{hint}name one of these, a path to a TOML file, or the log of a run",
         )
     return shipped
-
-
-def _explain(place: str, raw: dict, message: str) -> ProfileError:
-    """Turn msgspec's message into place, value, limit and remedy."""
-    match = re.search(r" - at `\$(?P<path>.*)`$", message)
-    path = (match["path"] if match else "").lstrip(".")
-    problem = message[: match.start()] if match else message
-    unknown = re.search(r"unknown field `(?P<key>[^`]+)`", problem)
-    if unknown:
-        key = unknown["key"]
-        known = _known_keys(path)
-        near = difflib.get_close_matches(key, known, n=1)
-        remedy = f"did you mean '{near[0]}'?" if near else "remove it or use one of the allowed keys"
-        unit_remedy = _unit_remedy(key, known)
-        return ProfileError(
-            f"{place}: {path or 'top level'}", f"unknown key '{key}'", ", ".join(known), unit_remedy or remedy
-        )
-    missing = re.search(r"missing required field `(?P<key>[^`]+)`", problem)
-    if missing:
-        return ProfileError(f"{place}: {path or 'top level'}", f"'{missing['key']}' is missing", remedy="add it")
-    value = _value_at(raw, path)
-    found = f" but found {value!r}" if value is not None and repr(value) not in problem else ""
-    allowed = ", ".join(_choices(path)) if problem.startswith("Invalid enum value") else ""
-    return ProfileError(f"{place}: {path or 'top level'}", f"{problem}{found}", allowed, remedy="correct the value")
-
-
-def _unit_remedy(key: str, known: list[str]) -> str:
-    """A key with the right quantity and a wrong unit deserves to be told so."""
-    stem = key.rsplit("_", 1)[0]
-    for candidate in known:
-        if candidate.rsplit("_", 1)[0] == stem and candidate != key:
-            return f"the unit of '{stem}' is fixed: write '{candidate}'"
-    return ""
-
-
-def _choices(path: str) -> tuple[str, ...]:
-    """The words a key of the format may hold; empty where it is no choice."""
-    parent, _, key = re.sub(r"\[[^\]]*\]", "", path).rpartition(".")
-    hint = next((f.type for f in msgspec.structs.fields(_struct_at(parent) or Profile) if f.encode_name == key), None)
-    return getattr(hint, "__args__", ()) if getattr(hint, "__origin__", None) is Literal else ()
-
-
-def _known_keys(path: str) -> list[str]:
-    struct = _struct_at(path)
-    return [f.encode_name for f in msgspec.structs.fields(struct)] if struct is not None else []
-
-
-def _struct_at(path: str) -> Any:
-    names = [part for part in re.sub(r"\[[^\]]*\]", "", path).split(".") if part]
-    struct: Any = Profile
-    for name in names:
-        hint = next((f.type for f in msgspec.structs.fields(struct) if f.encode_name == name), None)
-        struct = _struct_in(hint)
-        if struct is None:
-            return None
-    return struct
-
-
-def _struct_in(hint: Any) -> Any:
-    if isinstance(hint, type) and issubclass(hint, Struct):
-        return hint
-    for inner in getattr(hint, "__args__", ()) or ():
-        found = _struct_in(inner)
-        if found is not None:
-            return found
-    return None
-
-
-def _value_at(raw: Any, path: str) -> Any:
-    # msgspec writes list positions as [...]; the first offending element is not told, so stop there
-    for part in re.findall(r"[^.\[\]]+|\[[^\]]*\]", path):
-        if part.startswith("["):
-            return None
-        if not isinstance(raw, dict) or part not in raw:
-            return None
-        raw = raw[part]
-    return raw if not isinstance(raw, (dict, list)) else None
-
-
-def _check_numbers(value: Any, place: str, path: str) -> None:
-    """TOML knows nan and inf; a bench has no use for either."""
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ProfileError(f"{place}: {path}", f"{value} is not a finite number", remedy="correct the value")
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, inner in items:
-        step = f"[{key}]" if isinstance(key, int) else f".{key}" if path else key
-        _check_numbers(inner, place, f"{path}{step}")
-
-
-def _check_relations(profile: Profile, place: str) -> None:
-    read_limits(profile.limits, f"{place}: limits")
-    names = [axis.name for axis in profile.axis]
-    if len(set(names)) != len(names):
-        raise ProfileError(f"{place}: axis", f"two axes share a name in {names}", remedy="give each axis its own name")
-    for index, axis in enumerate(profile.axis):
-        _check_load(axis.load, f"{place}: axis[{index}].load")
-        _check_range(axis, f"{place}: axis[{index}].position_range_mm")
-    for index, fault in enumerate(profile.fault):
-        _check_fault(fault, names, f"{place}: fault[{index}]")
-    period_ms = profile.bench.period_us / 1000
-    for index, axis in enumerate(profile.axis):
-        if axis.command.stale_after_ms < period_ms:
-            raise ProfileError(
-                f"{place}: axis[{index}].command.stale_after_ms",
-                f"{axis.command.stale_after_ms} ms is shorter than one period",
-                limit=f">= {period_ms} ms",
-                remedy="raise it to the firmware's cycle time times the frames it may lose",
-            )
-
-
-def _check_range(axis: Axis, place: str) -> None:
-    if axis.position_range_mm is None:
-        return
-    low, high = axis.position_range_mm
-    if not low <= axis.initial_position_mm <= high or low == high:
-        raise ProfileError(
-            place,
-            f"{low:g} to {high:g} mm does not hold the initial position {axis.initial_position_mm:g} mm",
-            remedy="widen the range or move the start",
-        )
-
-
-def _check_load(load: Load, place: str) -> None:
-    if load.kind == "constant" and load.force_kn is None:
-        raise ProfileError(f"{place}.force_kn", "missing", remedy="a constant load needs force_kn")
-    for key, kind, given in (
-        ("force_kn", "constant", load.force_kn is not None),
-        ("position_mm", "table", bool(load.position_mm)),
-        ("table_force_kn", "table", bool(load.table_force_kn)),
-    ):
-        if given and load.kind != kind:
-            raise ProfileError(
-                f"{place}.{key}", f"has no effect on kind '{load.kind}'", remedy=f'remove it, or say kind = "{kind}"'
-            )
-    if load.kind != "table":
-        return
-    position, force = load.position_mm, load.table_force_kn
-    if len(position) < 2 or len(position) != len(force):
-        raise ProfileError(
-            f"{place}.position_mm",
-            f"{len(position)} positions and {len(force)} forces",
-            limit="two or more of each, equally many",
-            remedy="give position_mm and table_force_kn of equal length",
-        )
-    if any(b <= a for a, b in zip(position, position[1:], strict=False)):
-        raise ProfileError(f"{place}.position_mm", "not increasing", remedy="sort the table by position")
-
-
-def _check_fault(fault: Fault, names: list[str], place: str) -> None:
-    if fault.axis not in names:
-        raise ProfileError(f"{place}.axis", f"no axis '{fault.axis}'", limit=", ".join(names))
-    if (fault.at_s is None) == (fault.when is None):
-        raise ProfileError(place, "needs exactly one of at_s and when", remedy="say when the fault begins")
-    if fault.kind.startswith("sensor") and fault.quantity is None:
-        raise ProfileError(f"{place}.quantity", "missing", remedy="name the measured quantity the fault acts on")

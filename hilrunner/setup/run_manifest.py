@@ -1,8 +1,4 @@
-"""What a log must carry to be repeated and believed: metadata tables and the profile, DBC and models as attachments.
-
-A replay rebuilds the bench from these attachments alone: file names are kept, so that the profile finds its DBC and models
-beside itself in any folder they are unpacked to.
-"""
+"""What a log must carry to be repeated and believed: metadata tables, and everything the run used as attachments (`setup.parcel`)."""
 
 import hashlib
 import io
@@ -16,20 +12,18 @@ import numpy as np
 
 import hilrunner
 from hilrunner.base import compiled, status
-from hilrunner.record.config import Attachment
 from hilrunner.setup import host
-from hilrunner.setup.arm import model_paths
-from hilrunner.setup.contract import dbc_path
+from hilrunner.setup.parcel import STIMULUS_ATTACHMENT, PackedFile, Parcel
 from hilrunner.setup.profile import LoadedProfile
 
-PROFILE_ATTACHMENT = "profile.toml"
-STIMULUS_ATTACHMENT = "stimulus.npy"
 STIMULUS_MEDIA_TYPE = "application/octet-stream"
 _PACKAGES = ("numpy", "numba", "llvmlite", "python-can", "onnxruntime", "mcap")
 
 
-def run_metadata(loaded: LoadedProfile, engine: int, grants: list, report: host.HostReport | None) -> dict:
-    """The tables `run` and `host`, all values text."""
+def run_metadata(
+    loaded: LoadedProfile, files: list[PackedFile], engine: int, grants: list, report: host.HostReport | None
+) -> dict:
+    """The tables `run` and `host`, all values text; `files` are those the log holds, each with its hash."""
     profile = loaded.profile
     run = {
         "hilrunner_version": hilrunner.__version__,
@@ -46,7 +40,7 @@ def run_metadata(loaded: LoadedProfile, engine: int, grants: list, report: host.
         "wave_seeds": ",".join(str(axis.wave.seed) if axis.wave else "-" for axis in profile.axis),
         "load_seeds": ",".join(str(axis.load.perturbation_seed) for axis in profile.axis),
         "can_bitrate": profile.can.bitrate,
-        **{f"sha256:{one.name}": _sha256(Path(one.path)) for one in run_attachments(loaded, engine) if one.path},
+        **{f"sha256:{one.name}": one.digest for one in files},
     }
     tables = {"run": {key: str(value) for key, value in run.items()}}
     if report is None:
@@ -63,22 +57,14 @@ def run_metadata(loaded: LoadedProfile, engine: int, grants: list, report: host.
     return tables
 
 
-def run_attachments(loaded: LoadedProfile, engine: int, stimulus_path: Path | None = None) -> list[Attachment]:
-    """Profile, DBC, trained models; and the file of the commands that take the place of the bus, where they do.
+def run_files(parcel: Parcel, stimulus: np.ndarray | None) -> list[PackedFile]:
+    """What the log of a run holds: its parcel, and the commands that take the place of the bus, where they do.
 
     The commands of skipped periods stand nowhere else, and a logged command is the one behind the valve faults.
     """
-    dbc = dbc_path(loaded)
-    found = [
-        Attachment(PROFILE_ATTACHMENT, "application/toml", text=loaded.text),
-        Attachment(Path(loaded.profile.can.dbc).name, "text/plain", path=str(dbc)),
-    ]
-    names = dict.fromkeys(axis.model for axis in loaded.profile.axis if axis.model)
-    if engine != status.ENGINE_REFERENCE:
-        for name, path in zip(names, model_paths(loaded), strict=True):
-            found.append(Attachment(Path(name).name, "application/onnx", path=str(path)))
-    if stimulus_path is not None:
-        found.append(Attachment(STIMULUS_ATTACHMENT, STIMULUS_MEDIA_TYPE, path=str(stimulus_path)))
+    found = list(parcel.files)
+    if stimulus is not None:
+        found.append(PackedFile(STIMULUS_ATTACHMENT, STIMULUS_MEDIA_TYPE, stimulus_bytes(stimulus)))
     return found
 
 
@@ -99,7 +85,3 @@ def git_revision() -> str:
         return subprocess.run(words, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return "unknown"
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -7,7 +7,6 @@ recorder. Order matters: rights asked for while the plants are built, recorder a
 import contextlib
 import os
 import signal
-import tempfile
 import threading
 import time
 from dataclasses import dataclass, field
@@ -21,14 +20,15 @@ from hilrunner.base.units import M_PER_MM, NS_PER_S, PA_PER_MPA
 from hilrunner.realtime.loop import NO_BUS, run_loop
 from hilrunner.realtime.miss import open_schedstat
 from hilrunner.record import launch
-from hilrunner.record.config import CheckConfig, RecorderConfig
+from hilrunner.record.config import Attachment, CheckConfig, RecorderConfig
 from hilrunner.setup import host
 from hilrunner.setup.arm import Armed, arm, local_ring, ring_shape
 from hilrunner.setup.axes import AxisSet, build_axes, period_ns, reference_plants
 from hilrunner.setup.bus import OpenBus, errno_text, open_bus
 from hilrunner.setup.contract import sent_signal_names
+from hilrunner.setup.parcel import Parcel, pack
 from hilrunner.setup.profile import LoadedProfile
-from hilrunner.setup.run_manifest import run_attachments, run_metadata, stimulus_bytes
+from hilrunner.setup.run_manifest import run_files, run_metadata
 
 _START_DELAY_NS = 20_000_000  # from "everything is ready" to the deadline of tick 0
 _FOREVER = 1 << 62
@@ -48,8 +48,6 @@ class RunOptions:
     log_path: Path | None = None  # None: no log
     log_is_new: bool = False  # log_path is an empty file that was made for this run
     stimulus: np.ndarray | None = None
-    overrun: str | None = None
-    spin_us: int | None = None
     live_port: int | None = None
     require_realtime: bool = False
     realtime: host.RealtimeOptions = field(default_factory=host.RealtimeOptions)
@@ -88,7 +86,7 @@ class Session:
         self.armed: Armed
         self.ring: ring_layout.Ring
         self._block: launch.RingBlock | None = None
-        self._stimulus_path: Path | None = None
+        self._parcel: Parcel | None = None  # what the log will hold; the bench is built from it
         self._go = threading.Event()
         self._rights_known = threading.Event()
         self._thread: threading.Thread | None = None
@@ -108,6 +106,9 @@ class Session:
 
     def _prepare(self) -> None:
         options = self.options
+        if options.log_path is not None:
+            self._parcel = pack(self.loaded, options.engine, models=options.engine != status.ENGINE_REFERENCE)
+            self.loaded = self._parcel.loaded
         if options.channel is not None:
             self.bus = open_bus(options.interface, options.channel, options.bitrate, options.fd)
         shape = ring_shape(self.loaded)
@@ -134,16 +135,15 @@ class Session:
             self.ring,
             record=self.recorder is not None,
             stimulus=options.stimulus,
-            spin_ns=None if options.spin_us is None else options.spin_us * 1000,
-            overrun=options.overrun,
             schedstat_fd=self.schedstat_fd,
         )
+        if self._parcel is not None:
+            self._parcel.check_unchanged()
         # compile (or load from the cache) and page everything in: a loop of no ticks
         run_loop(self.armed.bench, NO_BUS, 0, 0)
         if self.recorder is not None:
             self.recorder.wait_ready(_RECORDER_WAIT_S)
             self._log_is_ours = options.log_path is not None
-            self._remove_stimulus()  # the log is open and holds it
         self._drain_stale_frames()
         self.start_mono_ns = time.monotonic_ns() + _START_DELAY_NS
         self._store(ring_layout.WORD_PERIOD_NS, period_ns(self.loaded))
@@ -237,7 +237,6 @@ class Session:
         """Undo a start that failed: no thread, no recorder, no half-written log."""
         self._cancelled = True
         self._go.set()
-        self._remove_stimulus()
         if self.recorder is not None:
             self.recorder.process.kill()
             self.recorder.process.wait()
@@ -252,6 +251,7 @@ class Session:
         self.ring.header[word * ring_layout.HEADER_STRIDE] = value
 
     def _recorder_config(self, shape: ring_layout.RingShape) -> RecorderConfig:
+        files = [] if self._parcel is None else run_files(self._parcel, self.options.stimulus)
         return RecorderConfig(
             ring_fd=self._block.fd,
             ring_shape=list(shape),
@@ -259,26 +259,14 @@ class Session:
             period_ns=period_ns(self.loaded),
             parent_pid=os.getpid(),
             log_path=str(self.options.log_path) if self.options.log_path else None,
-            metadata=run_metadata(self.loaded, self.options.engine, self.grants, self.host_report),
-            attachments=run_attachments(self.loaded, self.options.engine, self._write_stimulus()),
+            metadata=run_metadata(self.loaded, files, self.options.engine, self.grants, self.host_report),
+            attachments=[
+                Attachment(one.name, one.media_type, fd=launch.keep_in_memory(one.name, one.data)) for one in files
+            ],
             live_port=self.options.live_port,
             sent_signals=sent_signal_names(self.loaded),
             check=self._check_config(),
         )
-
-    def _write_stimulus(self) -> Path | None:
-        """The commands in place of the bus as a file, until the recorder has put it into the log."""
-        if self.options.stimulus is None or self.options.log_path is None:
-            return None
-        handle, path = tempfile.mkstemp(prefix="hilrunner-stimulus-", suffix=".npy")
-        self._stimulus_path = Path(path)
-        with os.fdopen(handle, "wb") as file:
-            file.write(stimulus_bytes(self.options.stimulus))
-        return self._stimulus_path
-
-    def _remove_stimulus(self) -> None:
-        if self._stimulus_path is not None:
-            self._stimulus_path.unlink(missing_ok=True)
 
     def _check_config(self) -> CheckConfig | None:
         rules = self.loaded.profile.crosscheck

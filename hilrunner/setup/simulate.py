@@ -1,5 +1,6 @@
 """A schedule through `realtime.cycle.run_offline`: what `hilrunner simulate` and the figures of other commands rest on."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,7 +14,8 @@ from hilrunner.setup.axes import period_ns
 from hilrunner.setup.profile import LoadedProfile
 from hilrunner.setup.stimulus import load_stimulus
 
-_CHUNK_TICKS = 1000
+_CHUNK_TICKS_MAX = 1000
+_CHUNK_S = 0.1  # wall time between two looks at the keyboard: compiled code hears no Ctrl-C
 
 
 @dataclass(frozen=True)
@@ -30,16 +32,16 @@ class Simulated:
 def simulate(
     loaded: LoadedProfile,
     engine: int,
-    schedule: str,
+    schedule: str | np.ndarray,
     duration_s: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Simulated:
-    """Run a schedule (name, file, or CAN log) on every axis of a profile; deterministic.
+    """Run a schedule (name, file, or CAN log; or the commands themselves, float64[tick, axis]) on every axis; deterministic.
 
     Args:
         engine: status.ENGINE_*. duration_s: None: as long as the schedule. progress: told the share done, 0..1.
     """
-    stimulus = load_stimulus(schedule, loaded, duration_s)
+    stimulus = schedule if isinstance(schedule, np.ndarray) else load_stimulus(schedule, loaded, duration_s)
     armed = arm_offline(loaded, engine, stimulus)
     count, axis_count = stimulus.shape
     tick = records.allocate(records.TICK, count)
@@ -49,9 +51,10 @@ def simulate(
     command = records.allocate(records.COMMAND, count * axis_count).reshape(count, axis_count)
     state = records.allocate(records.STATE, count * axis_count).reshape(count, axis_count)
     frames, sizes = np.zeros((0, FRAME_SIZE_FD), np.uint8), np.zeros(0, np.int64)
-    done = 0
+    done, chunk = 0, 1
     while done < count:
-        end = min(count, done + _CHUNK_TICKS)
+        end = min(count, done + chunk)
+        begin_s = time.perf_counter()
         n = end - done
         zeros, ones = np.zeros(n, np.int64), np.ones(n, np.int64)
         ran = run_offline(
@@ -61,6 +64,8 @@ def simulate(
         done += ran
         if ran < n:
             break
+        quick = time.perf_counter() - begin_s < _CHUNK_S / 2
+        chunk = min(2 * chunk, _CHUNK_TICKS_MAX) if quick else max(1, chunk // 2)
         if progress:
             progress(done / count)
     return Simulated(armed, engine, tick[:done], command[:done], state[:done])

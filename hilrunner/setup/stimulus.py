@@ -1,5 +1,6 @@
 """Valve commands from a file in place of the bus: a schedule, or a recorded CAN log read fully before the start."""
 
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from hilrunner.setup.axes import period_ns, period_s
 from hilrunner.setup.bus import pack_frame
 from hilrunner.setup.contract import signal_tables
 from hilrunner.setup.profile import LoadedProfile
+from hilrunner.setup.profile_files import sealed_file
 
 CAN_LOG_SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4")
 _MOST_TICKS = 100_000_000  # 28 h at 1 kHz; more does not fit in memory
@@ -21,8 +23,22 @@ _BACKWARD_S = 1.0  # stamps of two channels in one log may be out of order by a 
 def profile_schedule(loaded: LoadedProfile) -> str:
     """The profile's own schedule: a name, or a file beside the profile (then its path)."""
     name = loaded.profile.stimulus.schedule
+    if name in SCHEDULES or loaded.sealed is not None:
+        return name
     beside = loaded.path.parent / name
-    return str(beside) if name not in SCHEDULES and beside.is_file() else name
+    return str(beside) if beside.is_file() else name
+
+
+def profile_stimulus(loaded: LoadedProfile, duration_s: float | None = None) -> np.ndarray:
+    """The valve commands of the profile's own schedule, as `load_stimulus` has them; for a profile out of a log, out of that log."""
+    name = profile_schedule(loaded)
+    if loaded.sealed is None or name in SCHEDULES:
+        return load_stimulus(name, loaded, duration_s)
+    found = sealed_file(loaded, name)
+    with tempfile.TemporaryDirectory(prefix="hilrunner-schedule-") as folder:
+        path = Path(folder) / (Path(name).name or "schedule")
+        path.write_bytes(found.data)
+        return load_stimulus(str(path), loaded, duration_s)
 
 
 def load_stimulus(name: str, loaded: LoadedProfile, duration_s: float | None = None) -> np.ndarray:

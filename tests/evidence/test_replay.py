@@ -1,11 +1,10 @@
 """A replay gives the same bits, names the first bit that is not the same, and says how far the full model is away."""
 
 import json
+import os
 import re
 import subprocess
 import sys
-import tempfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from hilrunner.evidence import replay
 from hilrunner.evidence.reader import read_run
 from hilrunner.evidence.replay_dae import COMPARISONS
 from hilrunner.evidence.replay_log import write_replay
+from hilrunner.setup import run_manifest
 from tests.tools import bench_run
 from tests.tools.copy_log import copy_with
 
@@ -245,8 +245,8 @@ def test_without_its_stimulus_a_run_that_skipped_differs_and_says_why(tmp_path):
     "damage", [lambda data: data[:40], lambda data: b"", lambda data: data.replace(b"900", b"000")], ids=range(3)
 )
 def test_a_damaged_stimulus_is_refused_in_words(tmp_path, monkeypatch, damage):
-    path, honest = tmp_path / "damaged.mcap", bench_run.stimulus_bytes
-    monkeypatch.setattr(bench_run, "stimulus_bytes", lambda stimulus: damage(honest(stimulus)))
+    path, honest = tmp_path / "damaged.mcap", run_manifest.stimulus_bytes
+    monkeypatch.setattr(run_manifest, "stimulus_bytes", lambda stimulus: damage(honest(stimulus)))
     bench_run.make_run(path, NEVER_LATE, stimulus=smooth_stimulus())
     with pytest.raises(LogError, match="its stimulus"):
         exact(path)
@@ -254,13 +254,14 @@ def test_a_damaged_stimulus_is_refused_in_words(tmp_path, monkeypatch, damage):
 
 def test_a_run_without_bus_carries_its_stimulus_and_leaves_no_file_behind(tmp_path):
     log = tmp_path / "run.mcap"
-    before = set(Path(tempfile.gettempdir()).glob("hilrunner-stimulus-*"))
+    (tmp_path / "temporary").mkdir()
+    environment = os.environ | {"TMPDIR": str(tmp_path / "temporary")}
     words = ["--stimulus", "lift-profile-2ms", "--duration", "1", "--priority", "0", "--log", str(log)]
-    done = subprocess.run([sys.executable, "-m", "hilrunner", *words], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-m", "hilrunner", *words], capture_output=True, text=True, env=environment)
     assert done.returncode in (0, 1, 3), (
         done.stderr
     )  # a busy host may miss deadlines: the replay must hold all the more
-    assert set(Path(tempfile.gettempdir()).glob("hilrunner-stimulus-*")) == before
+    assert not list((tmp_path / "temporary").glob("hilrunner-*"))
     assert len(read_run(log).attachments["stimulus.npy"].data) > 8 * 20_000
     assert exact(log).exact.identical
 
@@ -271,7 +272,9 @@ def test_what_cannot_be_replayed_is_refused_in_words(recorded, tmp_path, capsys)
     assert cli.main(["replay", str(bare)]) == 2
     assert "no ticks with states" in capsys.readouterr().err
     without = tmp_path / "without.mcap"
-    data = path.read_bytes().replace(b"profile.toml", b"profile.tumb")
+    data = (
+        path.read_bytes().replace(b"profile.toml", b"profile.tumb").replace(b"profile.effective", b"profile.defective")
+    )
     without.write_bytes(data)
     with pytest.raises(LogError, match="carries no profile"):
         exact(without)

@@ -73,7 +73,7 @@ def test_while_a_command_is_imported(words, module, number, tmp_path):
 
 
 @pytest.mark.parametrize("number", NUMBERS)
-@pytest.mark.parametrize("function", ["create_ring", "build_axes", "run_attachments", "arm", "run_loop"])
+@pytest.mark.parametrize("function", ["create_ring", "build_axes", "run_files", "arm", "run_loop"])
 def test_while_a_run_is_built(function, number, tmp_path):
     """The log's name is taken by then, the loop's thread waits, at the end the recorder has opened the log."""
     before = f"""

@@ -12,7 +12,8 @@ from onnx import TensorProto, helper, numpy_helper
 from hilrunner.base.errors import ModelError
 from hilrunner.plant.parameters import make_parameters
 from hilrunner.setup import resources
-from hilrunner.setup.model import FILE_SIZE_MAX_BYTES, load_model
+from hilrunner.setup.model import load_model
+from hilrunner.setup.model_file import FILE_SIZE_MAX_BYTES
 
 
 def shipped(tmp_path, name="paper-flow.onnx"):

@@ -13,8 +13,9 @@ from hilrunner.base import records, status
 from hilrunner.realtime.cycle import run_offline
 from hilrunner.record.mcap_log import LogWriter
 from hilrunner.setup.arm import arm_offline
+from hilrunner.setup.parcel import pack
 from hilrunner.setup.profile import LoadedProfile, load_profile
-from hilrunner.setup.run_manifest import run_attachments, run_metadata, stimulus_bytes
+from hilrunner.setup.run_manifest import run_files, run_metadata
 from tests.tools import contract
 
 PERIOD_NS = 1_000_000
@@ -97,12 +98,10 @@ def make_run(
     """
     with tempfile.TemporaryDirectory() as folder:
         loaded = profile_at(folder, text)
-        stimulus_path = None
-        if stimulus is not None and attach:
-            stimulus_path = Path(folder) / "given.npy"
-            stimulus_path.write_bytes(stimulus_bytes(stimulus))
-        attachments = [_attachment(one) for one in run_attachments(loaded, engine, stimulus_path)]
-        metadata = run_metadata(loaded, engine, [], None)
+        parcel = pack(loaded, engine, models=engine != status.ENGINE_REFERENCE)
+        files = run_files(parcel, stimulus if attach else None)
+        attachments = [(one.name, one.media_type, one.data) for one in files]
+        metadata = run_metadata(loaded, files, engine, [], None)
         armed = arm_offline(loaded if alter is None else alter(loaded), engine, stimulus)
     tick = _ticks(plan)
     number = tick["tick"].astype(np.int64)
@@ -124,11 +123,6 @@ def valve_percent(times_s: np.ndarray) -> np.ndarray:
         np.mod(times_s, 2.0), [0, 0.1, 0.8, 0.9, 1.1, 1.2, 1.8, 1.9, 2.0], [0, 60, 90, 0, 0, -40, -70, 0, 0]
     )
     return np.round(shape / 100 * 16384) * 100 / 16384
-
-
-def _attachment(one) -> tuple[str, str, bytes]:
-    data = Path(one.path).read_bytes() if one.path else one.text.encode()
-    return one.name, one.media_type, data
 
 
 def _ticks(plan: Plan) -> np.ndarray:
