@@ -10,19 +10,18 @@ from pathlib import Path
 
 import msgspec
 
-from hilrunner.base import exit_codes, status
-from hilrunner.base import ring as ring_layout
+from hilrunner.base import status
 from hilrunner.base.errors import UsageError
 from hilrunner.commands.again import load_again, stimulus_named
-from hilrunner.commands.interrupt import INTERRUPTED
-from hilrunner.commands.run_summary import summarise_run
+from hilrunner.commands.run_summary import finite, summarise_run
 from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
+from hilrunner.commands.run_verdict import exit_code_of, verdict_of_run
 from hilrunner.commands.streams import spare_the_work
 from hilrunner.commands.targets import claim_free_log, claim_log
 from hilrunner.setup import host
 from hilrunner.setup.axes import check_duration, engine_named
 from hilrunner.setup.profile import LoadedProfile, checked
-from hilrunner.setup.session import RunOptions, RunResult, Session
+from hilrunner.setup.session import RunOptions, Session
 
 _LIVE_INTERVAL_S = 0.25
 _INSIST_S = 3.0  # the longest period is one second
@@ -54,48 +53,15 @@ def _watched(session: Session, args: argparse.Namespace) -> int:
     # the run has ended: whoever wants to end it now gets its log and verdict all the same
     _set_signals(dict.fromkeys((signal.SIGINT, signal.SIGTERM), lambda *_: None))
     result = session.finish()
-    code = exit_code(result)
-    broken: list[str] = []
-    if code == exit_codes.PASSED:
-        code, broken = judged(result)
-    summary = summarise_run(result, code) | {"broken_limits": broken}
+    verdict = verdict_of_run(result)
+    code = exit_code_of(result, verdict)
+    summary = summarise_run(result, code) | {"verdict": finite(verdict), "broken_limits": verdict["causes"]}
     with spare_the_work():
         if args.json:
             print(json.dumps(summary))
         else:
             print_summary(summary)
     return code
-
-
-def exit_code(result: RunResult) -> int:
-    """The documented exit code of a finished run; the gravest fact wins."""
-    if result.exit_reason == status.EXIT_CAN_LOST:
-        return exit_codes.CAN_LOST
-    if result.exit_reason == status.EXIT_DEADLINE:
-        return exit_codes.DEADLINE_BUDGET_EXCEEDED
-    if ring_layout.word(result.ring, ring_layout.WORD_CHECK_FAILED_TICK) != 0:
-        return exit_codes.CROSS_CHECK_FAILED
-    if result.exit_reason == status.EXIT_SIGNAL and result.armed.bench.progress[0]["tick_count"] == 0:
-        return INTERRUPTED
-    if result.exit_reason == status.EXIT_NOT_FINITE or result.recorder.get("error"):
-        return exit_codes.VERDICT_FAILED
-    return exit_codes.PASSED
-
-
-def judged(result: RunResult) -> tuple[int, list[str]]:
-    """Exit code and broken limits by the log just written; passed where the profile has no limits or no log was kept."""
-    if not result.armed.loaded.profile.limits or result.log_path is None:
-        return exit_codes.PASSED, []
-    from hilrunner.evidence.report import build_report
-    from hilrunner.evidence.verdict import PASSED
-
-    verdict = build_report(result.log_path).verdict
-    broken = [
-        f"{one.key}: {one.value:g} against {one.limit:g} ({one.outcome}; {one.detail})"
-        for one in verdict.judgements
-        if one.outcome != PASSED
-    ]
-    return verdict.exit_code, broken
 
 
 def _with_options(loaded: LoadedProfile, args: argparse.Namespace) -> LoadedProfile:

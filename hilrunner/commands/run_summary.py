@@ -1,5 +1,7 @@
 """The end of a run in numbers: one dictionary, printed as JSON or as text."""
 
+import math
+
 import numpy as np
 
 from hilrunner.base import histogram_scale, records, state_layout, status
@@ -94,6 +96,15 @@ def summarise_run(result: RunResult, exit_code: int) -> dict:
         "warnings": bench_warnings(result.armed.loaded, result.armed.axes),
         "grants": [grant.as_dict() for grant in result.grants],
     }
+
+
+def finite(value):
+    """The same plain values with NaN and infinity as None, which JSON has."""
+    if isinstance(value, dict):
+        return {key: finite(one) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _engine_errors(result: RunResult) -> list[str]:

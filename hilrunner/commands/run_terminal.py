@@ -9,6 +9,7 @@ from hilrunner.commands.run_summary import worst_us
 from hilrunner.setup.session import Session
 from hilrunner.setup.wire_span import bench_warnings
 
+_ALSO_DROPPED = (("dropped_frames", "frames"), ("dropped_misses", "misses"))
 _WAKE = records.HISTOGRAM_NAMES.index("wake_lateness")
 
 
@@ -113,9 +114,15 @@ def print_summary(summary: dict) -> None:
     _print_recorder(summary)
     for text in summary["engine_errors"]:
         print(f"  {text}")
-    for text in summary.get("broken_limits", ()):
-        print(f"  limit broken: {text}")
+    _print_verdict(summary["verdict"])
     print(f"  exit code {summary['exit_code']}")
+
+
+def _print_verdict(verdict: dict) -> None:
+    """The outcome and everything that failed, the cause of the exit code first."""
+    print(f"  verdict: {verdict['outcome'] if verdict['exit_code'] == 0 else verdict['outcome'].upper()}")
+    for text in verdict["causes"]:
+        print(f"    {text}")
 
 
 def _print_recorder(summary: dict) -> None:
@@ -125,15 +132,25 @@ def _print_recorder(summary: dict) -> None:
     if recorder.get("error"):
         print(f"  recorder: {': '.join(part for part in recorder['error'] if part)}")
         return
-    print(
-        f"  log: {recorder['log_path']}, {recorder['tick_count']} ticks, {recorder['size_bytes'] / 1e6:.2f} MB, "
-        f"{recorder['dropped_ticks']} ticks dropped, {recorder['lost_bytes']} bytes lost"
-    )
+    if recorder["log_path"] is None:
+        print(f"  log: none kept; {recorder['tick_count']} ticks taken, {_dropped_text(recorder)}")
+    else:
+        print(
+            f"  log: {recorder['log_path']}, {recorder['tick_count']} ticks, {recorder['size_bytes'] / 1e6:.2f} MB, "
+            f"{_dropped_text(recorder)}, {recorder['lost_bytes']} bytes lost"
+        )
     for name, figures in (recorder.get("check") or {}).items():
         if isinstance(figures, dict) and figures.get("checked_ticks"):
             print(f"  cross-check {name}: {_check_text(figures)}")
     if summary["check_failed_tick"] is not None:
         print(f"  cross-check: out of tolerance at tick {summary['check_failed_tick']}")
+
+
+def _dropped_text(recorder: dict) -> str:
+    """What the ring had no room for: ticks always, frames and misses where there are any."""
+    told = [f"{recorder['dropped_ticks']} ticks dropped"]
+    told += [f"{recorder[key]} {noun} dropped" for key, noun in _ALSO_DROPPED if recorder[key]]
+    return ", ".join(told)
 
 
 def _check_text(figures: dict) -> str:

@@ -76,13 +76,14 @@ class CheckTally:
         *(f"one_step_{name}" for name, _, _ in QUANTITIES.values()),
     )
 
-    def __init__(self) -> None:
+    def __init__(self, keep_traces: bool = True) -> None:
         self._axes: dict[str, _AxisTally] = {}
+        self._keep_traces = keep_traces
 
     def __call__(self, topic: str, rows: np.ndarray) -> None:
         """Sum one batch."""
         if len(rows):
-            self._axes.setdefault(topic.split("/")[1], _AxisTally()).take(rows)
+            self._axes.setdefault(topic.split("/")[1], _AxisTally(self._keep_traces)).take(rows)
 
     def results(self, period_ns: int) -> list[CheckUse]:
         """Cross-checks of every axis that had any."""
@@ -90,7 +91,8 @@ class CheckTally:
 
 
 class _AxisTally:
-    def __init__(self) -> None:
+    def __init__(self, keep_traces: bool) -> None:
+        self._keep_traces = keep_traces
         self.count = 0
         self.failed_count = 0
         self.first_failed: int | None = None
@@ -106,7 +108,7 @@ class _AxisTally:
         self.count += len(rows)
         self.failed_count += len(failed)
         self.lag_ns = max(self.lag_ns, int(rows["lag_ns"].max()))
-        starts = np.arange(0, len(rows), _STRETCH_ROWS)
+        starts = np.arange(0, len(rows), _STRETCH_ROWS)[: None if self._keep_traces else 0]
         self.ticks.append(rows["tick"][starts])
         for name, (column, _, _) in QUANTITIES.items():
             _add(self.sums[name], rows["tick"], np.abs(rows[column]), np.abs(rows[f"one_step_{column}"]), starts)
@@ -114,10 +116,15 @@ class _AxisTally:
     def result(self, axis: str, period_ns: int) -> CheckUse:
         """What was summed."""
         tick = np.concatenate(self.ticks)
+        if not len(tick):
+            return self._use(axis, {})
         starts = np.unique(np.linspace(0, len(tick), min(_PLOT_POINTS, len(tick)), endpoint=False).astype(np.int64))
         traces = {"time_s": tick[starts] * (period_ns * 1e-9)}
         for name, (_, factor, _) in QUANTITIES.items():
             traces[name] = np.maximum.reduceat(np.concatenate(self.sums[name].stretches), starts) / factor
+        return self._use(axis, traces)
+
+    def _use(self, axis: str, traces: dict[str, np.ndarray]) -> CheckUse:
         return CheckUse(
             axis=axis,
             tick_count=self.count,
@@ -136,7 +143,8 @@ def _add(sums: _Sums, tick: np.ndarray, error: np.ndarray, one_step: np.ndarray,
         sums.largest, sums.tick = float(error[worst]), int(tick[worst])
     sums.squares += float(np.square(error).sum())
     sums.count += len(error)
-    sums.stretches.append(np.maximum.reduceat(error, starts))
+    if len(starts):
+        sums.stretches.append(np.maximum.reduceat(error, starts))
     one_step = one_step[np.isfinite(one_step)]  # a decimated one-step check leaves NaN between
     sums.step_largest = max(sums.step_largest, float(one_step.max(initial=0.0)))
     sums.step_squares += float(np.square(one_step).sum())

@@ -31,6 +31,7 @@ class RunFacts:
 
     profile: Profile | None
     profile_name: str
+    profile_problem: str  # why there is no profile to judge by; empty: there is one
     limits: dict[str, float]  # [limits] of the profile, also of one this version cannot read otherwise
     period_ns: int
     warm_up_ticks: int
@@ -63,7 +64,7 @@ def read_facts(run: Run, miss_count: int = 0) -> RunFacts:
     """
     notes: list[str] = []
     table = run.metadata.get("run", {})
-    profile = _profile(run, notes)
+    profile, problem = _profile(run, notes)
     period_ns = _period_ns(run, table, profile, notes)
     warm_up = profile.bench.warm_up_ticks if profile else 0
     warm_up = _number(table.get("warm_up_ticks"), warm_up, _WARM_UP_TICKS, "warm_up_ticks", notes)
@@ -74,6 +75,7 @@ def read_facts(run: Run, miss_count: int = 0) -> RunFacts:
     left_out = {"findings", "grants", "mode_label", "mode_reasons"}
     return RunFacts(
         profile=profile,
+        profile_problem=problem,
         limits=_limits(run, profile),
         profile_name=table.get("profile_name") or table.get("profile") or (profile.name if profile else "unknown"),
         period_ns=period_ns,
@@ -100,16 +102,17 @@ def read_facts(run: Run, miss_count: int = 0) -> RunFacts:
     )
 
 
-def _profile(run: Run, notes: list[str]) -> Profile | None:
-    """The profile as the run used it: the structure the log holds, or of an older log the text."""
+def _profile(run: Run, notes: list[str]) -> tuple[Profile | None, str]:
+    """The profile as the run used it (the structure the log holds, or of an older log the text), or why there is none to judge by."""
     try:
         profile = profile_of_log({name: one.data for name, one in run.attachments.items()}, str(run.path))
     except ProfileError as error:
         notes.append(f"the profile in the log is not one of this version: {error}")
-        return None
+        return None, f"the profile in the log is not one of this version: {error}"
     if profile is None:
         notes.append("the log carries no profile: no limits to judge by, period taken from the ticks")
-    return profile
+        return None, "the log carries no profile"
+    return profile, ""
 
 
 def _limits(run: Run, profile: Profile | None) -> dict[str, float]:

@@ -4,7 +4,7 @@ import math
 import xml.etree.ElementTree as ElementTree
 
 from hilrunner.base.plain_text import plain_text
-from hilrunner.evidence.verdict import FAILED, NOT_JUDGED, Judgement, Verdict
+from hilrunner.evidence.verdict import FAILED, NO_LIMITS, NOT_JUDGED, Judgement, Verdict
 
 
 def junit_xml(verdict: Verdict, suite_name: str, duration_s: float, properties: dict[str, str]) -> str:
@@ -15,13 +15,14 @@ def junit_xml(verdict: Verdict, suite_name: str, duration_s: float, properties: 
         properties: facts of the run, kept as properties of the suite.
     """
     outcomes = [judgement.outcome for judgement in verdict.judgements]
+    no_limits = verdict.outcome == NO_LIMITS
     suite = ElementTree.Element(
         "testsuite",
         name=suite_name,
-        tests=str(len(outcomes)),
+        tests=str(len(outcomes) + no_limits),
         failures=str(outcomes.count(FAILED)),
         errors=str(outcomes.count(NOT_JUDGED)),
-        skipped="0",
+        skipped=str(int(no_limits)),
         time=f"{duration_s:.3f}",
     )
     table = ElementTree.SubElement(suite, "properties")
@@ -29,6 +30,9 @@ def junit_xml(verdict: Verdict, suite_name: str, duration_s: float, properties: 
         ElementTree.SubElement(table, "property", name=key, value=_clean(value))
     for judgement in verdict.judgements:
         _add_case(suite, suite_name, judgement)
+    if no_limits:
+        case = ElementTree.SubElement(suite, "testcase", classname=_clean(suite_name), name="limits", time="0")
+        ElementTree.SubElement(case, "skipped", message="no limits set: the profile names nothing that could pass")
     root = ElementTree.Element("testsuites")
     root.append(suite)
     ElementTree.indent(root)
@@ -38,9 +42,7 @@ def junit_xml(verdict: Verdict, suite_name: str, duration_s: float, properties: 
 
 def _add_case(suite: ElementTree.Element, suite_name: str, judgement: Judgement) -> None:
     case = ElementTree.SubElement(suite, "testcase", classname=_clean(suite_name), name=judgement.key, time="0")
-    text = f"{judgement.doc}: {number(judgement.value)}, limit {number(judgement.limit)}"
-    if judgement.detail:
-        text += f" ({judgement.detail})"
+    text = f"{judgement.doc}: {judgement.sentence()}"
     if judgement.outcome == FAILED:
         ElementTree.SubElement(case, "failure", message=_clean(text), type="limit")
     elif judgement.outcome == NOT_JUDGED:

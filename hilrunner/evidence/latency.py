@@ -85,6 +85,7 @@ class Latency:
     misses: list[Miss]  # the worst, worst first
     causes: dict[str, int]
     distributions: dict[str, Distribution]
+    loop: dict[str, Distribution]  # the loop's own, of every tick that ran: where the run has left them
     worst_wake: list[tuple[int, int]]  # (tick, ns), worst first
     timeline: Timeline
 
@@ -139,6 +140,7 @@ def measure_latency(run: Run, facts: RunFacts, responses_ns: np.ndarray) -> Late
         misses=misses,
         causes=causes,
         distributions={name: distributions[name] for name in HISTOGRAM_NAMES if name in distributions},
+        loop=loop_distributions(run),
         worst_wake=[(int(number[k]), int(wake_lateness[k])) for k in worst],
         timeline=_timeline(number * (facts.period_ns * 1e-9), wake_lateness, execution),
     )
@@ -200,6 +202,12 @@ def _command_ages(run: Run, facts: RunFacts) -> np.ndarray:
         ages = rows["age_ns"][rows["tick"] >= facts.warm_up_ticks]
         parts.append(ages[ages >= 0])
     return np.concatenate(parts) if parts else np.zeros(0, np.int64)
+
+
+def loop_distributions(run: Run) -> dict[str, Distribution]:
+    """The loop's own distributions: they know also of ticks that are not in the log, and a run without a log has nothing else."""
+    found = {name: _from_attachment(run, name) for name in HISTOGRAM_NAMES}
+    return {name: one for name, one in found.items() if one is not None}
 
 
 def _from_attachment(run: Run, name: str) -> Distribution | None:

@@ -1,5 +1,6 @@
 """What the actuator did in a run: ranges, flags, stops, fail-safes, distance from the reference motion."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -32,6 +33,7 @@ class AxisUse:
     flag_ticks: dict[str, int]
     mode_ticks: dict[str, int]
     command_age_ms_max_active: float
+    heard_ticks: int  # at which the newest valid command was known, or one was applied
     fail_safe_ms: list[float]  # age of the newest valid command at each entry
     stop_count: int
     settling_ms_max: float  # over all stops; NaN: none
@@ -57,90 +59,176 @@ def measure_plant(
             continue
         command = run.command.get(name)
         given = (reference or {}).get(name)
-        target = _reference_m(state, facts.period_ns, profiles.get(name), given)
-        uses.append(_axis_use(name, state, command, target, facts.period_ns, settling_speed_mmps))
+        target = reference_m(state["tick"], facts.period_ns, profiles.get(name), given)
+        tally = AxisTally(name, facts.period_ns, settling_speed_mmps)
+        tally.take(state, command, target)
+        same = command is not None and np.array_equal(command["tick"], state["tick"])
+        valve = command["valve_command"] if same else None
+        uses.append(tally.result(_traces(state, valve, target, facts.period_ns)))
     return uses
 
 
-def _axis_use(name, state, command, target, period_ns: int, settling_speed_mmps: float) -> AxisUse:
-    pressures = [state["chamber_1_pressure_pa"], state["chamber_2_pressure_pa"]]
-    position_mm = state["rod_position_m"] / M_PER_MM
-    speed_mmps = state["rod_velocity_mps"] / M_PER_MM
-    valve = command["valve_command"] if command is not None else np.zeros(0)
-    mode = command["mode"] if command is not None else np.zeros(0, np.uint8)
-    same = command is not None and len(command) == len(state) and np.array_equal(command["tick"], state["tick"])
-    settling = (
-        settling_times_ms(state["tick"], valve, speed_mmps, period_ns, settling_speed_mmps)
-        if same
-        else np.zeros((0, 2))
-    )
-    active = mode == status.MODE_ACTIVE
-    error_mm = np.zeros(0)
-    if target is not None:
-        error_mm = np.abs(position_mm - target / M_PER_MM)[active if same else slice(None)]
-    settled = settling[settling[:, 1] > 0, 0]
-    return AxisUse(
-        name=name,
-        pressure_mpa_min=float(min(p.min() for p in pressures) / PA_PER_MPA),
-        pressure_mpa_max=float(max(p.max() for p in pressures) / PA_PER_MPA),
-        position_mm_min=float(position_mm.min()),
-        position_mm_max=float(position_mm.max()),
-        speed_mmps_max=float(np.abs(speed_mmps).max()),
-        command_min=float(valve.min()) if len(valve) else float("nan"),
-        command_max=float(valve.max()) if len(valve) else float("nan"),
-        flag_ticks=_count_flags(state["flags"]),
-        mode_ticks={status.MODE_NAMES[k]: int(n) for k, n in enumerate(np.bincount(mode)) if n and k < 7},
-        command_age_ms_max_active=float(command["age_ns"][active].max() / NS_PER_MS) if active.any() else 0.0,
-        fail_safe_ms=_fail_safe_ms(command) if command is not None else [],
-        stop_count=len(settling),
-        settling_ms_max=float(settled.max()) if len(settled) else float("nan"),
-        unsettled_count=int((settling[:, 1] == 0).sum()),
-        tracking_mm_max=float(error_mm.max()) if len(error_mm) else float("nan"),
-        tracking_mm_rms=float(np.sqrt(np.mean(error_mm**2))) if len(error_mm) else float("nan"),
-        traces=_traces(state, valve if same else None, target, period_ns),
-    )
+class AxisTally:
+    """Sums the use of one axis batch by batch, so that a run of days needs no more memory than one of minutes."""
+
+    def __init__(self, name: str, period_ns: int, settling_speed_mmps: float) -> None:
+        self._name = name
+        self._stops = SettlingTally(period_ns, settling_speed_mmps)
+        self._low = dict.fromkeys(("pressure", "position", "command"), math.inf)
+        self._high = dict.fromkeys(("pressure", "position", "command", "speed"), -math.inf)
+        self._flags = np.zeros(len(status.FLAG_NAMES), np.int64)
+        self._modes = np.zeros(len(status.MODE_NAMES), np.int64)
+        self._age_ns_max_active = 0
+        self._heard_ticks = 0
+        self._latched = False
+        self._fail_safe_ms: list[float] = []
+        self._error_mm_max, self._error_squares, self._error_count = 0.0, 0.0, 0
+
+    def take(self, state: np.ndarray, command: np.ndarray | None, target_m: np.ndarray | None) -> None:
+        """One batch of STATE and COMMAND rows (at least the fields of evidence.report.COLUMNS), in order of tick.
+
+        Args:
+            command: None where the log has none. Stops are found only where its ticks are those of the states.
+            target_m: float64[len(state)], rod position to follow, m; None: none is known.
+        """
+        self._take_state(state)
+        if command is not None:
+            self._take_command(command)
+        same = command is not None and np.array_equal(command["tick"], state["tick"])
+        if same:
+            self._stops.take(state["tick"], command["valve_command"], state["rod_velocity_mps"] / M_PER_MM)
+        if target_m is not None:
+            active = command["mode"] == status.MODE_ACTIVE if same else slice(None)
+            self._take_distance(np.abs(state["rod_position_m"] - target_m)[active] / M_PER_MM)
+
+    def _take_state(self, state: np.ndarray) -> None:
+        for place in ("chamber_1_pressure_pa", "chamber_2_pressure_pa"):
+            self._span("pressure", state[place] / PA_PER_MPA)
+        self._span("position", state["rod_position_m"] / M_PER_MM)
+        self._high["speed"] = max(self._high["speed"], float(np.abs(state["rod_velocity_mps"]).max() / M_PER_MM))
+        for bit in range(len(self._flags)):
+            self._flags[bit] += np.count_nonzero(state["flags"] >> bit & 1)
+
+    def _take_command(self, command: np.ndarray) -> None:
+        if not len(command):
+            return
+        mode, age_ns = command["mode"], command["age_ns"]
+        active = mode == status.MODE_ACTIVE
+        self._span("command", command["valve_command"])
+        self._modes += np.bincount(np.minimum(mode, len(self._modes)), minlength=len(self._modes) + 1)[:-1]
+        self._heard_ticks += int((active | (age_ns >= 0)).sum())
+        if active.any():
+            self._age_ns_max_active = max(self._age_ns_max_active, int(age_ns[active].max()))
+        latched = mode == status.MODE_FAIL_SAFE
+        entered = np.flatnonzero(latched & ~np.concatenate(([self._latched], latched[:-1])))
+        self._fail_safe_ms += [float(age / NS_PER_MS) for age in age_ns[entered]]
+        self._latched = bool(latched[-1])
+
+    def _take_distance(self, error_mm: np.ndarray) -> None:
+        if len(error_mm):
+            self._error_mm_max = max(self._error_mm_max, float(error_mm.max()))
+            self._error_squares += float(np.square(error_mm).sum())
+            self._error_count += len(error_mm)
+
+    def _span(self, name: str, values: np.ndarray) -> None:
+        self._low[name] = min(self._low[name], float(values.min()))
+        self._high[name] = max(self._high[name], float(values.max()))
+
+    def result(self, traces: dict[str, np.ndarray] | None = None) -> AxisUse:
+        """What was summed, at least one state."""
+        settling = self._stops.rows()
+        settled = settling[settling[:, 1] > 0, 0]
+        commanded = self._low["command"] <= self._high["command"]
+        known = self._error_count > 0
+        return AxisUse(
+            name=self._name,
+            pressure_mpa_min=self._low["pressure"],
+            pressure_mpa_max=self._high["pressure"],
+            position_mm_min=self._low["position"],
+            position_mm_max=self._high["position"],
+            speed_mmps_max=self._high["speed"],
+            command_min=self._low["command"] if commanded else math.nan,
+            command_max=self._high["command"] if commanded else math.nan,
+            flag_ticks={name: int(n) for name, n in zip(status.FLAG_NAMES, self._flags, strict=True) if n},
+            mode_ticks={name: int(n) for name, n in zip(status.MODE_NAMES, self._modes, strict=True) if n},
+            command_age_ms_max_active=self._age_ns_max_active / NS_PER_MS,
+            heard_ticks=self._heard_ticks,
+            fail_safe_ms=list(self._fail_safe_ms),
+            stop_count=len(settling),
+            settling_ms_max=float(settled.max()) if len(settled) else math.nan,
+            unsettled_count=int((settling[:, 1] == 0).sum()),
+            tracking_mm_max=self._error_mm_max if known else math.nan,
+            tracking_mm_rms=math.sqrt(self._error_squares / self._error_count) if known else math.nan,
+            traces=traces or {},
+        )
 
 
-def _count_flags(flags: np.ndarray) -> dict[str, int]:
-    counts = {name: int(np.count_nonzero(flags >> bit & 1)) for bit, name in enumerate(status.FLAG_NAMES)}
-    return {name: count for name, count in counts.items() if count}
+class SettlingTally:
+    """Every stop of the valve, found batch by batch.
 
+    A stop begins when the command falls below half a percent after having been above 5 %, and counts when it stays there for
+    0.2 s. The settling time runs to the last tick faster than the limit; one that is still faster at the end did not settle.
+    """
 
-def _fail_safe_ms(command: np.ndarray) -> list[float]:
-    latched = command["mode"] == status.MODE_FAIL_SAFE
-    entered = np.flatnonzero(latched & ~np.concatenate(([False], latched[:-1])))
-    return [float(age / NS_PER_MS) for age in command["age_ns"][entered]]
+    def __init__(self, period_ns: int, limit_mmps: float) -> None:
+        self._period_ns = period_ns
+        self._limit_mmps = limit_mmps
+        self._rows: list[tuple[float, float]] = []
+        self._moved_to = 0.0  # largest command since the last stop
+        # the stretch at neutral that is going on: first and last tick, last fast tick, whether the last tick was fast, a stop
+        self._neutral: tuple[int, int, int, bool, bool] | None = None
+
+    def take(self, tick: np.ndarray, valve: np.ndarray, speed_mmps: np.ndarray) -> None:
+        """One batch: ticks in order, commands -1..1, speeds in mm/s, all (n,)."""
+        neutral = np.abs(valve) < NEUTRAL_COMMAND
+        bounds = [0, *(np.flatnonzero(np.diff(neutral.astype(np.int8))) + 1).tolist(), len(neutral)]
+        for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
+            if stop == start:
+                continue
+            if not neutral[start]:
+                self._rows += self._closed()
+                self._neutral = None
+                self._moved_to = max(self._moved_to, float(np.abs(valve[start:stop]).max()))
+                continue
+            first, _, last_fast, _, is_stop = self._neutral or (
+                int(tick[start]),
+                0,
+                -1,
+                False,
+                self._moved_to > MOVED_COMMAND,
+            )
+            fast = np.flatnonzero(np.abs(speed_mmps[start:stop]) > self._limit_mmps)
+            if len(fast):
+                last_fast = int(tick[start + fast[-1]])
+            ends_fast = len(fast) > 0 and int(fast[-1]) == stop - start - 1
+            self._neutral = (first, int(tick[stop - 1]), last_fast, ends_fast, is_stop)
+            if (self._neutral[1] - first) * self._period_ns * 1e-9 >= STOP_S_MIN:
+                self._moved_to = 0.0
+
+    def rows(self) -> np.ndarray:
+        """float64[stops, 2]: settling time in ms, and 1 if the rod came to stand, 0 if not."""
+        return np.array(self._rows + self._closed()).reshape(-1, 2)
+
+    def _closed(self) -> list[tuple[float, float]]:
+        """The stop that the stretch going on is, if it ended now."""
+        if self._neutral is None:
+            return []
+        first, last, last_fast, ends_fast, is_stop = self._neutral
+        if not is_stop or (last - first) * self._period_ns * 1e-9 < STOP_S_MIN:
+            return []
+        return [(max(last_fast - first, 0) * self._period_ns / NS_PER_MS, float(not ends_fast))]
 
 
 def settling_times_ms(tick, valve, speed_mmps, period_ns: int, limit_mmps: float) -> np.ndarray:
-    """Every stop of the valve: float64[stops, 2], settling time in ms and 1 if the rod came to stand, 0 if not.
-
-    A stop begins when the command falls below half a percent after having been above 5 %, and counts when it stays there for
-    0.2 s. The settling time runs to the last tick faster than `limit_mmps`; one that is still faster at the end did not settle.
-    """
-    neutral = np.abs(valve) < NEUTRAL_COMMAND
-    edges = np.flatnonzero(np.diff(neutral.astype(np.int8), prepend=0))
-    bounds = np.append(edges, len(neutral))
-    rows = []
-    moved_until = 0
-    for start, stop in zip(bounds[:-1], bounds[1:], strict=True):
-        if not neutral[start]:
-            continue
-        length_s = (int(tick[stop - 1]) - int(tick[start])) * period_ns * 1e-9
-        if length_s < STOP_S_MIN:  # a chattering command has very many of these: nothing may be searched for them
-            continue
-        if start > 0 and np.abs(valve[moved_until:start]).max(initial=0.0) > MOVED_COMMAND:
-            fast = np.flatnonzero(np.abs(speed_mmps[start:stop]) > limit_mmps)
-            last = start + fast[-1] if len(fast) else start
-            settled = not len(fast) or fast[-1] < stop - start - 1
-            rows.append(((int(tick[last]) - int(tick[start])) * period_ns / NS_PER_MS, float(settled)))
-        moved_until = stop
-    return np.array(rows).reshape(-1, 2)
+    """Every stop of the valve in whole arrays, as SettlingTally finds them."""
+    tally = SettlingTally(period_ns, limit_mmps)
+    tally.take(tick, valve, speed_mmps)
+    return tally.rows()
 
 
-def _reference_m(state: np.ndarray, period_ns: int, axis: Axis | None, given: np.ndarray | None) -> np.ndarray | None:
-    """Rod position that was to be followed, at every logged state; None where no reference is known."""
-    times_s = state["tick"] * (period_ns * 1e-9)
+def reference_m(tick: np.ndarray, period_ns: int, axis: Axis | None, given: np.ndarray | None) -> np.ndarray | None:
+    """Rod position that was to be followed at each tick, m; None where no reference is known."""
+    times_s = tick * (period_ns * 1e-9)
     if given is not None:
         return np.interp(times_s, given[:, 0], given[:, 1])
     if axis is None or axis.wave is None or axis.load.kind != "knuckle-boom":

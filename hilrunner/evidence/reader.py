@@ -76,6 +76,8 @@ class Run:
     library: str
     start_publish_ns: int  # publish time of the first tick, Unix epoch; 0: no tick
     first_log_ns: int
+    schemas: dict[str, str]  # topic -> text of its schema
+    missing_fields: dict[str, tuple[str, ...]]  # topic -> fields that its records lack, read as 0
     events: tuple[Event, ...] = ()
     foreign_topics: tuple[str, ...] = ()
 
@@ -172,6 +174,8 @@ def read_run(path: str | Path, columns: Columns | None = None, consumers: dict[s
         library=contents.library,
         start_publish_ns=collector.start_publish_ns,
         first_log_ns=collector.first_log_ns,
+        schemas=_schema_texts(contents),
+        missing_fields=collector.missing_fields(),
         events=tuple(collector.events),
         foreign_topics=tuple(sorted(collector.foreign)),
     )
@@ -298,6 +302,11 @@ class _Collector:
                 merged[target.topic] = target
         return list(merged.values())
 
+    def missing_fields(self) -> dict[str, tuple[str, ...]]:
+        """Fields that were asked for and are not in the log, by topic."""
+        found = (target for target in self._buffers.values() if target is not None and target.missing)
+        return {target.topic: target.missing for target in found}
+
     def note_damage(self) -> None:
         """Tell what was left out."""
         if self._unknown_channels:
@@ -361,6 +370,11 @@ def _by_channel(messages: np.ndarray, channels: np.ndarray, counts: np.ndarray) 
     for channel in channels.tolist():
         start, end = end, end + int(counts[channel])
         yield channel, messages[start:end]
+
+
+def _schema_texts(contents: Contents) -> dict[str, str]:
+    """The text of every topic's schema."""
+    return {topic: contents.schemas.get(number, ("", "", ""))[2] for topic, number, _ in contents.channels.values()}
 
 
 def _event(data: bytes) -> Event:

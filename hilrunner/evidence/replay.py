@@ -9,13 +9,15 @@ import numpy as np
 from hilrunner.base import exit_codes
 from hilrunner.base.errors import LogError
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
-from hilrunner.evidence.budget import SKIPPED_REPLAYED_MAX
+from hilrunner.evidence.coverage import coverage_sentences
 from hilrunner.evidence.facts import RunFacts, read_facts
+from hilrunner.evidence.judging import verdict_of
 from hilrunner.evidence.reader import Run, read_run
 from hilrunner.evidence.rebuild import engine_of, known_stimulus, unpacked_profile
 from hilrunner.evidence.replay_dae import IDA_RTOL, AxisDae, replay_dae
-from hilrunner.evidence.replay_exact import ExactReplay, replay_exact
+from hilrunner.evidence.replay_exact import ExactReplay, exact_sentence, replay_exact
 from hilrunner.evidence.report import finite
+from hilrunner.evidence.verdict import Judgement, Verdict, said
 from hilrunner.setup.axes import build_axes, check_duration, period_s, reference_plants
 from hilrunner.setup.profile import CrossCheck, LoadedProfile
 
@@ -46,15 +48,12 @@ class Replay:
     tolerance: CrossCheck
     perturbed_load: bool
     notes: tuple[str, ...]
+    verdict: Verdict  # of the run, as a report has it, and of the replay
 
     @property
     def exit_code(self) -> int:
-        """0; 1: the replay is not the run, bit for bit; 5: the surrogate left the profile's tolerance."""
-        if self.exact is not None and not self.exact.identical:
-            return exit_codes.VERDICT_FAILED
-        if any(axis.out_of_tolerance for axis in self.axes):
-            return exit_codes.CROSS_CHECK_FAILED
-        return exit_codes.PASSED
+        """The verdict's."""
+        return self.verdict.exit_code
 
 
 def build_replay(path: str | Path, options: ReplayOptions, progress: Progress = lambda what, share: None) -> Replay:
@@ -68,7 +67,6 @@ def build_replay(path: str | Path, options: ReplayOptions, progress: Progress = 
         raise LogError(
             str(path), "holds no ticks with states, so there is nothing to replay", remedy="replay a log of `run`"
         )
-    _check_skipped(run)
     facts = read_facts(run)
     with unpacked_profile(run) as loaded:
         _check_axes(run, loaded)
@@ -80,6 +78,7 @@ def build_replay(path: str | Path, options: ReplayOptions, progress: Progress = 
             exact = replay_exact(run, facts, loaded, engine, lambda share: progress("bit-exact replay", share))
         if options.part in (DAE, BOTH):
             axes = _dae(run, loaded, engine, options, progress)
+        verdict, coverage = verdict_of(run, facts)
         return Replay(
             path=Path(path),
             run=run,
@@ -88,20 +87,22 @@ def build_replay(path: str | Path, options: ReplayOptions, progress: Progress = 
             axes=axes,
             tolerance=loaded.profile.crosscheck,
             perturbed_load=any(axis.load.perturbation_std_ratio > 0 for axis in loaded.profile.axis),
-            notes=(*facts.notes, *run.damage),
+            notes=(*coverage_sentences(coverage), *facts.notes, *run.damage),
+            verdict=verdict.joined(_replayed(exact, axes)),
         )
 
 
-def _check_skipped(run: Run) -> None:
-    """Skipped periods are computed too: a count that no run can have would keep the plant busy for days."""
-    count = int(run.tick["skipped_count"].sum(dtype=np.int64))
-    if count > SKIPPED_REPLAYED_MAX:
-        raise LogError(
-            str(run.path),
-            f"/rt/tick tells of {count} skipped periods, which a replay has to compute",
-            f"{SKIPPED_REPLAYED_MAX}",
-            "the field skipped_count is damaged, or the host slept for an hour: run again",
-        )
+def _replayed(exact: ExactReplay | None, axes: list[AxisDae]) -> list[Judgement]:
+    """What the replay itself says of the run."""
+    judged = []
+    if exact is not None:
+        doc, detail = "the replay is the run, bit for bit", exact_sentence(exact)
+        judged.append(said("bit_exact", doc, exact.identical, detail))
+    for axis in axes:
+        doc = f"axis {axis.axis} stays within the tolerance around the full model"
+        detail = f"{axis.out_of_tolerance} of {len(axis.tick)} ticks out of tolerance"
+        judged.append(said("full_model", doc, not axis.out_of_tolerance, detail, exit_codes.CROSS_CHECK_FAILED))
+    return judged
 
 
 def _check_axes(run: Run, loaded: LoadedProfile) -> None:
@@ -153,6 +154,7 @@ def as_dict(replay: Replay) -> dict:
         "log": str(replay.path),
         "profile": replay.facts.profile_name,
         "exit_code": replay.exit_code,
+        "verdict": replay.verdict.as_dict(),
         "exact": None
         if exact is None
         else {

@@ -66,6 +66,15 @@ class ExactReplay:
         return self.simulated_s / self.processor_s if self.processor_s > 0 else 0.0
 
 
+def exact_sentence(exact: ExactReplay) -> str:
+    """The result of the bit-exact replay in one line."""
+    if exact.identical:
+        return f"bit-exact replay: all {exact.total_ticks} ticks identical in every bit"
+    if exact.first is None:
+        return f"bit-exact replay: the first {exact.compared_ticks} of {exact.total_ticks} ticks identical, the rest not compared"
+    return f"bit-exact replay: DIFFERS first at {exact.first.sentence()}"
+
+
 def replay_exact(
     log: Run, facts: RunFacts, loaded: LoadedProfile, engine: int, progress: Progress = lambda share: None
 ) -> ExactReplay:

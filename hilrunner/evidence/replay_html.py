@@ -8,8 +8,9 @@ from hilrunner.base.units import PA_PER_MPA
 from hilrunner.evidence import page
 from hilrunner.evidence.replay import Replay, speed
 from hilrunner.evidence.replay_dae import QUANTITIES, AxisDae
-from hilrunner.evidence.replay_text import exact_sentence, figure_rows, place_rows
-from hilrunner.evidence.report_html import span
+from hilrunner.evidence.replay_exact import exact_sentence
+from hilrunner.evidence.replay_text import figure_rows, place_rows
+from hilrunner.evidence.report_html import span, verdict_chip, verdict_table
 from hilrunner.evidence.svg import Axis, Chart
 
 _POINTS = 1200
@@ -18,7 +19,7 @@ _STRETCHES = 600
 
 def replay_html(replay: Replay) -> str:
     """The whole document."""
-    sections = []
+    sections = [page.section("Verdict", verdict_table(replay.verdict))]
     if replay.exact is not None:
         sections.append(page.section("Bit-exact replay", _exact(replay)))
     for axis in replay.axes:
@@ -30,7 +31,7 @@ def replay_html(replay: Replay) -> str:
 
 
 def _lead(replay: Replay) -> str:
-    chips, tiles = [], []
+    chips, tiles = [verdict_chip(replay.verdict)], []
     exact = replay.exact
     if exact is not None:
         chips.append(page.chip("bit-identical", "good") if exact.identical else page.chip("not bit-identical", "bad"))

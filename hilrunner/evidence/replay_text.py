@@ -2,28 +2,21 @@
 
 from hilrunner.evidence.replay import Replay, speed
 from hilrunner.evidence.replay_dae import AxisDae
-from hilrunner.evidence.replay_exact import ExactReplay
-from hilrunner.evidence.report_text import align
+from hilrunner.evidence.replay_exact import ExactReplay, exact_sentence
+from hilrunner.evidence.report_text import align, verdict_words
 
 
 def replay_text(replay: Replay) -> str:
     """The whole result."""
     parts = [f"{replay.path}: profile {replay.facts.profile_name}, engine {replay.facts.provenance.get('engine', '?')}"]
+    causes = [f"  {cause}" for cause in replay.verdict.causes]
+    parts.append("\n".join([f"verdict: {verdict_words(replay.verdict)}", *causes]))
     if replay.exact is not None:
         parts.append(exact_text(replay.exact))
     parts += [axis_text(axis) for axis in replay.axes]
     if replay.notes:
         parts.append("\n".join(["what the log lacks:", *(f"  {note}" for note in replay.notes)]))
     return "\n\n".join(parts) + "\n"
-
-
-def exact_sentence(exact: ExactReplay) -> str:
-    """The result of the bit-exact replay in one line."""
-    if exact.identical:
-        return f"bit-exact replay: all {exact.total_ticks} ticks identical in every bit"
-    if exact.first is None:
-        return f"bit-exact replay: the first {exact.compared_ticks} of {exact.total_ticks} ticks identical, the rest not compared"
-    return f"bit-exact replay: DIFFERS first at {exact.first.sentence()}"
 
 
 def exact_text(exact: ExactReplay) -> str:

@@ -4,7 +4,7 @@ import hashlib
 import math
 import resource
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +15,13 @@ from hilrunner.base.plain_text import plain_keys, plain_line
 from hilrunner.base.units import M_PER_MM
 from hilrunner.evidence.bus import BusTally, BusUse
 from hilrunner.evidence.check_use import CheckTally, CheckUse
+from hilrunner.evidence.coverage import Coverage, coverage_dict
 from hilrunner.evidence.facts import RunFacts, read_facts
+from hilrunner.evidence.judging import subject_of
 from hilrunner.evidence.latency import Latency, measure_latency
 from hilrunner.evidence.plant_use import AxisUse, measure_plant
 from hilrunner.evidence.reader import Columns, Event, Run, read_run
-from hilrunner.evidence.verdict import Measured, Verdict, judge
+from hilrunner.evidence.verdict import Verdict, judge
 from hilrunner.setup.limits import SETTLING_SPEED_MMPS
 
 COLUMNS: Columns = {
@@ -64,6 +66,7 @@ class Report:
     bus: BusUse
     axes: list[AxisUse]
     checks: list[CheckUse]
+    coverage: Coverage
     verdict: Verdict
     attachments: dict[str, tuple[int, str]]  # name -> bytes, sha256
     events: tuple[Event, ...]
@@ -81,12 +84,23 @@ class Report:
         object.__setattr__(self, "attachments", plain_keys(self.attachments))
 
 
-def build_report(path: str | Path, reference_path: str | Path | None = None) -> Report:
+@dataclass(frozen=True)
+class RunnerKnows:
+    """What is known of a run beside its log: it matters where the recorder died before it could write it down."""
+
+    ran_ticks: int
+    exit_reason: str  # of status.EXIT_NAMES
+
+
+def build_report(
+    path: str | Path, reference_path: str | Path | None = None, knows: RunnerKnows | None = None
+) -> Report:
     """Read, measure and judge a run.
 
     Args:
         path: the log, in any state.
         reference_path: CSV of the motion the rod was to follow (see `read_reference`), in place of the profile's wave.
+        knows: what the runner adds to the log of the run that it has just ended.
 
     Raises LogError when the log or the reference cannot be read at all.
     """
@@ -96,11 +110,14 @@ def build_report(path: str | Path, reference_path: str | Path | None = None) -> 
     latency = measure_latency(run, facts, frames.responses_ns(facts.warm_up_ticks))
     if latency.miss_count:
         facts = read_facts(run, latency.miss_count)
+    if knows is not None:
+        facts = replace(facts, exit_reason=knows.exit_reason)
     bus = frames.result(facts.bitrate)
     reference = read_reference(reference_path, run) if reference_path else None
     speed = facts.limits.get("settling_speed_mmps", SETTLING_SPEED_MMPS)
     axes = measure_plant(run, facts, speed, reference)
     checks = checked.results(facts.period_ns)
+    subject = subject_of(run, facts, latency, bus, axes, checks, None if knows is None else knows.ran_ticks)
     return Report(
         path=Path(path),
         size_bytes=run.size_bytes,
@@ -109,7 +126,8 @@ def build_report(path: str | Path, reference_path: str | Path | None = None) -> 
         bus=bus,
         axes=axes,
         checks=checks,
-        verdict=judge(facts.limits, Measured(latency, bus, axes, checks), facts.exit_reason),
+        coverage=subject.measured.coverage,
+        verdict=judge(subject),
         attachments={
             name: (len(one.data), hashlib.sha256(one.data).hexdigest()) for name, one in run.attachments.items()
         },
@@ -157,11 +175,8 @@ def as_dict(report: Report) -> dict:
         "mode": report.facts.mode_label,
         "mode_reasons": list(report.facts.mode_reasons),
         "exit_reason": report.facts.exit_reason,
-        "verdict": {
-            "passed": report.verdict.passed,
-            "exit_code": report.verdict.exit_code,
-            "limits": [asdict(judgement) for judgement in report.verdict.judgements],
-        },
+        "verdict": report.verdict.as_dict(),
+        "coverage": coverage_dict(report.coverage),
         "latency": {
             "period_ns": latency.period_ns,
             "tick_count": latency.tick_count,

@@ -7,12 +7,20 @@ import numpy as np
 from hilrunner.base import histogram_scale
 from hilrunner.base.units import NS_PER_US
 from hilrunner.evidence import page
-from hilrunner.evidence.junit import number
+from hilrunner.evidence.coverage import coverage_sentences
 from hilrunner.evidence.latency import TITLES, Distribution
 from hilrunner.evidence.report import Report
-from hilrunner.evidence.report_text import axis_sentences, check_rows, clamped_text, latency_rows, us
+from hilrunner.evidence.report_text import (
+    axis_sentences,
+    check_rows,
+    judged_figures,
+    judged_reason,
+    latency_rows,
+    us,
+    verdict_words,
+)
 from hilrunner.evidence.svg import Axis, Chart
-from hilrunner.evidence.verdict import FAILED, PASSED
+from hilrunner.evidence.verdict import FAILED, NO_LIMITS, PASSED, Verdict
 from hilrunner.setup import host
 
 _OUTCOME = {PASSED: "good", FAILED: "bad"}
@@ -24,7 +32,7 @@ _WIDE = 1060
 def report_html(report: Report) -> str:
     """The whole document."""
     sections = [
-        page.section("Verdict", _verdict(report)),
+        page.section("Verdict", verdict_table(report.verdict)),
         page.section("Latency", _latency(report)),
         page.section("Deadlines", _deadlines(report)),
         page.section("Bus", _bus(report)),
@@ -33,7 +41,7 @@ def report_html(report: Report) -> str:
         page.section("Host", _host(report)),
         page.section("Provenance", _provenance(report)),
     ]
-    if report.damage or report.facts.notes or report.foreign_topics:
+    if report.damage or report.facts.notes or report.foreign_topics or coverage_sentences(report.coverage):
         sections.insert(0, page.section("What this log lacks", _damage(report)))
     return page.page(f"Run report: {report.path.name}", _lead(report), sections)
 
@@ -44,9 +52,15 @@ def mode_chip(label: str) -> str:
     return page.chip(label, kind)
 
 
+def verdict_chip(verdict: Verdict) -> str:
+    """The outcome, coloured; a run without limits is neither good nor bad."""
+    kind = {PASSED: "good", NO_LIMITS: "plain"}.get(verdict.outcome, "bad")
+    return page.chip(f"verdict: {verdict.outcome}", kind)
+
+
 def _lead(report: Report) -> str:
     latency = report.latency
-    outcome = page.chip("verdict passed", "good") if report.verdict.passed else page.chip("verdict failed", "bad")
+    outcome = verdict_chip(report.verdict)
     wake, execution = latency.distributions.get("wake_lateness"), latency.distributions.get("execution")
     lead = (
         f"<p>{outcome} {mode_chip(report.facts.mode_label)} "
@@ -68,16 +82,15 @@ def _failed_checks(report: Report) -> str:
     return str(sum(check.failed_count for check in report.checks)) if report.checks else "-"
 
 
-def _verdict(report: Report) -> str:
+def verdict_table(verdict: Verdict) -> str:
+    """Every judgement with its figures."""
     rows = [
-        (one.key, page.chip(one.outcome, _OUTCOME.get(one.outcome, "warn")), number(one.value), number(one.limit), one.doc, one.detail)
-        for one in report.verdict.judgements
+        (one.key, page.chip(one.outcome, _OUTCOME.get(one.outcome, "warn")), *judged_figures(one), one.doc, judged_reason(one))
+        for one in verdict.judgements
     ]  # fmt: skip
     head = ("limit", "outcome", "measured", "allowed", "meaning", "")
     text = page.table(head, rows, numbers_from=9, raw=frozenset({1}))
-    if len(rows) == 1:
-        text += page.paragraph("The profile sets no limits.", "quiet")
-    return text
+    return page.paragraph(f"{verdict_words(verdict)}.") + text
 
 
 def _latency(report: Report) -> str:
@@ -213,8 +226,6 @@ def _bus(report: Report) -> str:
         told += page.paragraph(
             "Received but not taken: " + ", ".join(f"{n} {name}" for name, n in bus.rejected.items()) + "."
         )
-    if clamped := clamped_text(report):
-        told += page.paragraph(clamped[0].upper() + clamped[1:] + ".")
     if len(bus.load_per_s) < 2:
         return told
     x = Axis("time, s", 0.0, float(len(bus.load_per_s)))
@@ -324,7 +335,7 @@ def _provenance(report: Report) -> str:
 
 
 def _damage(report: Report) -> str:
-    texts = [*report.facts.notes, *report.damage]
+    texts = [*coverage_sentences(report.coverage), *report.facts.notes, *report.damage]
     if report.foreign_topics:
         texts.append(f"topics of others, not read: {', '.join(report.foreign_topics)}")
     return page.bullets(texts, "warn")

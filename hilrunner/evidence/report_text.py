@@ -1,11 +1,15 @@
 """The report as text for a terminal or a file."""
 
+import math
 from collections.abc import Sequence
 
 from hilrunner.base.records import STATISTIC_NAMES
+from hilrunner.evidence.coverage import coverage_sentences
 from hilrunner.evidence.junit import number
 from hilrunner.evidence.latency import TITLES
 from hilrunner.evidence.report import Report
+from hilrunner.evidence.verdict import DAMAGED, FAILED, NO_LIMITS, PASSED, Judgement, Verdict
+from hilrunner.setup.limits import KEYS
 
 COLUMN_TITLES = {
     "p50": "50 %",
@@ -82,10 +86,8 @@ def _verdict(report: Report) -> str:
     verdict = report.verdict
     rows = [["limit", "outcome", "measured", "allowed", ""]]
     for one in verdict.judgements:
-        rows.append([one.key, one.outcome, number(one.value), number(one.limit), one.detail])
-    text = "passed" if verdict.passed else "FAILED"
-    if len(verdict.judgements) == 1:
-        text += " (the profile sets no limits)"
+        rows.append([one.key, one.outcome, *judged_figures(one), judged_reason(one)])
+    text = verdict_words(verdict)
     widths = [max(len(row[k]) for row in rows) for k in range(5)]
     table = [
         f"  {row[0].ljust(widths[0])}  {row[1].ljust(widths[1])}  {row[2].rjust(widths[2])}  {row[3].rjust(widths[3])}  {row[4]}".rstrip()
@@ -94,12 +96,33 @@ def _verdict(report: Report) -> str:
     return f"verdict: {text}\n" + "\n".join(table)
 
 
+def verdict_words(verdict: Verdict) -> str:
+    """The outcome, and what it means where the word alone could be misread."""
+    code = f" (exit code {verdict.exit_code})"
+    return {
+        PASSED: "passed",
+        NO_LIMITS: "no limits set: nothing failed, and the profile names nothing that could have passed",
+        DAMAGED: f"DAMAGED{code}: the log does not match its own checksums, so its figures prove nothing",
+    }.get(verdict.outcome, f"FAILED{code}")
+
+
+def judged_figures(one: Judgement) -> tuple[str, str]:
+    """Measured value and limit with their unit; `yes` and `no` for what is no figure."""
+    if one.key not in KEYS:
+        return {PASSED: "yes", FAILED: "no"}.get(one.outcome, "not known"), "yes"
+    unit = f" {one.unit}" if one.unit else ""
+    return number(one.value) + ("" if math.isnan(one.value) else unit), number(one.limit) + unit
+
+
+def judged_reason(one: Judgement) -> str:
+    """Where the value stands, and over how much of the run it was judged."""
+    return "; ".join(part for part in (one.detail, one.over) if part)
+
+
 def _latency(report: Report) -> str:
     latency = report.latency
     notes = [f"latency (us; {latency.warm_up_ticks} warm-up ticks left out, skipped periods count as late wake-ups)"]
     notes.append(align(latency_rows(report)))
-    if latency.lost_count:
-        notes.append(f"  {latency.lost_count} ticks ran but are not in the log")
     return "\n".join(notes)
 
 
@@ -228,7 +251,7 @@ def _provenance(report: Report) -> str:
 
 
 def _damage(report: Report) -> str:
-    lines = [f"  {text}" for text in (*report.facts.notes, *report.damage)]
+    lines = [f"  {text}" for text in (*coverage_sentences(report.coverage), *report.facts.notes, *report.damage)]
     if report.foreign_topics:
         lines.append(f"  topics of others, not read: {', '.join(report.foreign_topics)}")
     return "\n".join(["what the log lacks:", *lines]) if lines else ""

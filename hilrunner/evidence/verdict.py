@@ -1,41 +1,41 @@
-"""The verdict of a run: each limit of its profile against what was measured.
+"""The one judgement of a run: how it ended, what of it is in the log, the cross-check, each limit of its profile.
 
-A limit that cannot be judged (the log lacks what it needs) fails: a pass must be shown, never assumed.
+Run, report, replay, JUnit, the pages and the exit codes are views of what `judge` says (docs/verdict.md). What cannot be judged
+fails: a pass must be shown, never assumed.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 
 from hilrunner.base import exit_codes, status
-from hilrunner.base.units import NS_PER_US
-from hilrunner.evidence.bus import BusUse
-from hilrunner.evidence.check_use import CheckUse
-from hilrunner.evidence.latency import Latency
-from hilrunner.evidence.plant_use import AxisUse
-from hilrunner.setup.limits import KEYS
+from hilrunner.evidence.coverage import Coverage
+from hilrunner.evidence.limit_measures import EXPLAINING, Measured, measure
+from hilrunner.setup.limits import DEFAULTS, KEYS, unit_of
 
+# of one judgement, and of the whole: a run without limits has nothing that it could pass
 PASSED, FAILED, NOT_JUDGED = "passed", "failed", "not judged"
-_EXPLAINING = ("settling_speed_mmps",)  # says how another limit is measured
+NO_LIMITS, DAMAGED = "no limits set", "damaged"
+# what a run is judged by: its log, all its records while they passed by (evidence.tally), or the loop's counters alone
+LOG, MEMORY, COUNTERS = "log", "memory", "counters"
 _PLANNED = tuple(
     status.EXIT_NAMES[code] for code in (status.EXIT_DURATION, status.EXIT_SIGNAL, status.EXIT_STIMULUS_END)
 )
+_END_CODES = {
+    status.EXIT_NAMES[status.EXIT_CAN_LOST]: exit_codes.CAN_LOST,
+    status.EXIT_NAMES[status.EXIT_DEADLINE]: exit_codes.DEADLINE_BUDGET_EXCEEDED,
+}
 _MODEL_KEYS = ("check_failures_max", "check_pressure_mpa_max", "check_position_mm_max")
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What a run is judged by."""
-
-    latency: Latency
-    bus: BusUse
-    axes: list[AxisUse]
-    checks: list[CheckUse]
+_CHECK_DEFAULTS = ("check_failures_max", "unchecked_ticks_max")
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """One limit: `value` NaN where it cannot be told; `detail` says where the value stands or why it cannot be told."""
+    """One thing that was judged.
+
+    `value` is NaN where it cannot be told; `detail` says where the value stands or why it cannot be told; `over` says over how much of
+    the run; `code` is the exit code it asks for when it does not pass; `by_default`: judged though the profile does not name it.
+    """
 
     key: str
     doc: str
@@ -43,165 +43,182 @@ class Judgement:
     value: float
     outcome: str
     detail: str
+    unit: str = ""
+    over: str = ""
+    code: int = exit_codes.VERDICT_FAILED
+    by_default: bool = False
+
+    def sentence(self) -> str:
+        """What is wrong, in words: value, limit, unit, reason."""
+        unit = f" {self.unit}" if self.unit else ""
+        reason = "; ".join(part for part in (self.detail, self.over) if part)
+        if self.outcome == NOT_JUDGED or math.isnan(self.limit):
+            allowed = "" if math.isnan(self.limit) else f" (limit {self.limit:g}{unit})"
+            return f"{self.key}: {self.outcome}: {reason or self.doc}{allowed}"
+        return f"{self.key}: {self.outcome}: {self.value:g} against {self.limit:g}{unit}" + (
+            f" ({reason})" if reason else ""
+        )
+
+
+@dataclass(frozen=True)
+class Subject:
+    """All that is judged of one run; who makes it (log, replay, a run without a log) does not matter to the judgement."""
+
+    exit_reason: str  # of status.EXIT_NAMES; any other text: not known
+    limits: dict[str, float]
+    measured: Measured
+    profile_problem: str = ""  # why the limits of the profile cannot be read
+    mismatches: tuple[str, ...] = ()  # parts of the log that do not match their checksums
+    missing_fields: dict[str, tuple[str, ...]] | None = None
+    silent_axes: tuple[str, ...] | None = None  # never got a valid command; None: no firmware was meant to send one
+    source: str = LOG
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """How the run ended, and all limits of its profile."""
+    """All judgements of a run, and what follows from them."""
 
     judgements: list[Judgement]
 
     @property
+    def failed(self) -> list[Judgement]:
+        """What did not pass: broken, or not to be judged."""
+        return [one for one in self.judgements if one.outcome != PASSED]
+
+    @property
+    def outcome(self) -> str:
+        """PASSED, FAILED, DAMAGED, or NO_LIMITS where nothing failed but the profile names nothing to pass."""
+        if any(one.code == exit_codes.DAMAGED for one in self.failed):
+            return DAMAGED
+        if self.failed:
+            return FAILED
+        return PASSED if any(not one.by_default for one in self.judgements) else NO_LIMITS
+
+    @property
     def passed(self) -> bool:
-        """No limit failed and none was left unjudged."""
-        return all(judgement.outcome == PASSED for judgement in self.judgements)
+        """Every limit of the profile was kept, and there is at least one."""
+        return self.outcome == PASSED
 
     @property
     def exit_code(self) -> int:
-        """0; 5 when only or also the model's limits failed; 1 for any other failure."""
-        failed = [judgement.key for judgement in self.judgements if judgement.outcome != PASSED]
-        if not failed:
-            return exit_codes.PASSED
-        if any(key in _MODEL_KEYS for key in failed):
-            return exit_codes.CROSS_CHECK_FAILED
-        return exit_codes.VERDICT_FAILED
+        """The gravest of all that failed (base.exit_codes.PRECEDENCE)."""
+        return exit_codes.gravest(one.code for one in self.failed)
+
+    @property
+    def causes(self) -> list[str]:
+        """Everything that failed, in words, the cause of the exit code first."""
+        order = {code: place for place, code in enumerate(exit_codes.PRECEDENCE)}
+        return [one.sentence() for one in sorted(self.failed, key=lambda one: order.get(one.code, len(order)))]
+
+    def as_dict(self) -> dict:
+        """As plain JSON values, but for NaN."""
+        return {
+            "outcome": self.outcome,
+            "passed": self.passed,
+            "exit_code": self.exit_code,
+            "causes": self.causes,
+            "limits": [asdict(one) for one in self.judgements],
+        }
+
+    def joined(self, more: Sequence[Judgement]) -> "Verdict":
+        """With further judgements; a damaged log stays without any other."""
+        return self if self.outcome == DAMAGED else Verdict([*self.judgements, *more])
 
 
-def judge(limits: dict[str, float], measured: Measured, exit_reason: str) -> Verdict:
-    """Compare every limit (setup.limits) with the run, and how it ended with how a run should end.
+def judge(subject: Subject) -> Verdict:
+    """Judge a run. A log that does not match its own checksums has no verdict but that it is damaged."""
+    damage = _judge_damage(subject.mismatches)
+    if damage.outcome != PASSED:
+        return Verdict([damage])
+    judged = [damage] if subject.source == LOG else []
+    judged += [
+        _judge_end(subject.exit_reason),
+        *_judge_log(subject),
+        _judge_profile(subject),
+        *_judge_firmware(subject),
+    ]
+    limits = DEFAULTS | subject.limits
+    for key, limit in limits.items():
+        if key in EXPLAINING or _does_not_concern(key, subject):
+            continue
+        judged.append(_judge_limit(key, limit, subject))
+    return Verdict(judged)
 
-    Args:
-        exit_reason: of status.EXIT_NAMES; any other text: not known.
-    """
-    judged = [_judge_one(key, limits[key], measured) for key in limits if key not in _EXPLAINING]
-    return Verdict([_judge_end(exit_reason), *judged])
+
+def said(key: str, doc: str, holds: bool | None, detail: str, code: int = exit_codes.VERDICT_FAILED) -> Judgement:
+    """A judgement that is a yes or a no; None: cannot be told."""
+    outcome = NOT_JUDGED if holds is None else PASSED if holds else FAILED
+    value = math.nan if holds is None else float(holds)
+    return Judgement(key, doc, 1.0, value, outcome, detail, code=code, by_default=True)
+
+
+def _judge_damage(mismatches: tuple[str, ...]) -> Judgement:
+    more = f" and {len(mismatches) - 1} more" if len(mismatches) > 1 else ""
+    detail = f"{mismatches[0]}{more}" if mismatches else ""
+    return said(
+        "log_undamaged", "the log matches its own checksums and hashes", not mismatches, detail, exit_codes.DAMAGED
+    )
 
 
 def _judge_end(exit_reason: str) -> Judgement:
-    planned = exit_reason in _PLANNED
-    outcome = PASSED if planned else FAILED if exit_reason in status.EXIT_NAMES else NOT_JUDGED
-    value = 1.0 if planned else 0.0 if outcome == FAILED else math.nan
-    return Judgement("ended_as_planned", "the run ended as planned", 1.0, value, outcome, exit_reason)
+    known = exit_reason in status.EXIT_NAMES
+    code = _END_CODES.get(exit_reason, exit_codes.VERDICT_FAILED)
+    holds = exit_reason in _PLANNED if known else None
+    return said("ended_as_planned", "the run ended as planned", holds, exit_reason, code)
 
 
-def _judge_one(key: str, limit: float, measured: Measured) -> Judgement:
-    if key not in _MEASURES:
-        return Judgement(key, "not a limit of this version", limit, math.nan, NOT_JUDGED, "written by another version")
-    value, detail = _MEASURES[key](measured)
-    if math.isnan(value):
-        outcome = NOT_JUDGED
+def _judge_log(subject: Subject) -> list[Judgement]:
+    if subject.source != LOG:
+        return []
+    coverage = subject.measured.coverage
+    detail = coverage.recorder_error
+    if not coverage.finished:
+        detail = detail or f"its end is missing: {_known_so_far(coverage)}"
+    return [said("log_finished", "the log has its end", coverage.finished and not coverage.recorder_error, detail)]
+
+
+def _known_so_far(coverage: Coverage) -> str:
+    found = coverage.ticks.found
+    return (
+        f"it holds {found} ticks, and how many more ran is not known"
+        if coverage.ticks.had is None
+        else coverage.ticks.over("ticks")
+    )
+
+
+def _judge_profile(subject: Subject) -> Judgement:
+    problem = subject.profile_problem
+    return said("profile_readable", "the limits can be read", None if problem else True, problem)
+
+
+def _judge_firmware(subject: Subject) -> list[Judgement]:
+    silent = subject.silent_axes
+    if silent is None:
+        return []
+    detail = f"axis {', axis '.join(silent)} never got a valid command" if silent else ""
+    return [said("firmware_heard", "a firmware sent valid commands (bench.require_firmware)", not silent, detail)]
+
+
+def _does_not_concern(key: str, subject: Subject) -> bool:
+    """What is judged by default only where the run had it."""
+    if key in subject.limits:
+        return False
+    if key in _CHECK_DEFAULTS:
+        return subject.measured.coverage.checked is None
+    return subject.source == COUNTERS
+
+
+def _judge_limit(key: str, limit: float, subject: Subject) -> Judgement:
+    by_default = key not in subject.limits
+    code = exit_codes.CROSS_CHECK_FAILED if key in _MODEL_KEYS else exit_codes.VERDICT_FAILED
+    unit = unit_of(key)
+    if key not in KEYS:
+        detail = "written by another version"
+        return Judgement(key, "not a limit of this version", limit, math.nan, NOT_JUDGED, detail, unit, "", code)
+    found = measure(key, subject.measured, subject.missing_fields or {})
+    if math.isnan(found.value):
+        outcome, code = NOT_JUDGED, exit_codes.VERDICT_FAILED
     else:
-        is_floor = key.endswith("_min")
-        outcome = PASSED if (value >= limit if is_floor else value <= limit) else FAILED
-    return Judgement(key, KEYS[key].doc, limit, value, outcome, detail)
-
-
-Measure = Callable[[Measured], tuple[float, str]]
-
-
-def _percentile_us(name: str, statistic: str) -> Measure:
-    def measure(measured: Measured) -> tuple[float, str]:
-        found = measured.latency.distributions.get(name)
-        if found is None:
-            return math.nan, f"the log holds no {name.replace('_', ' ')}"
-        return found.values_ns[statistic] / NS_PER_US, f"of {found.count} samples" if found.count else found.source
-
-    return measure
-
-
-def _over_axes(value: Callable[[AxisUse], float], worst=max, lacking: str = "no axis has a logged state") -> Measure:
-    def measure(measured: Measured) -> tuple[float, str]:
-        values = [(value(axis), axis.name) for axis in measured.axes]
-        known = [pair for pair in values if not math.isnan(pair[0])]
-        if not known or len(known) < len(values):
-            return math.nan, lacking
-        return (found := worst(known))[0], f"axis {found[1]}"
-
-    return measure
-
-
-def _flag(name: str) -> Measure:
-    return _over_axes(lambda axis: float(axis.flag_ticks.get(name, 0)))
-
-
-def _over_checks(value: Callable[[CheckUse], float]) -> Measure:
-    def measure(measured: Measured) -> tuple[float, str]:
-        if not measured.checks:
-            return math.nan, "the log holds no cross-check"
-        worst = max(measured.checks, key=value)
-        return value(worst), f"axis {worst.axis}, {worst.tick_count} ticks checked"
-
-    return measure
-
-
-def _miss_ratio(measured: Measured) -> tuple[float, str]:
-    late = measured.latency.miss_count + measured.latency.skipped_count
-    periods = measured.latency.tick_count - measured.latency.warm_up_ticks + measured.latency.skipped_count
-    return (late / periods, f"{late} of {periods} periods") if periods else (math.nan, "no ticks")
-
-
-def _fail_safe(measured: Measured) -> tuple[float, str]:
-    times = [time for axis in measured.axes for time in axis.fail_safe_ms]
-    if not measured.axes:
-        return math.nan, "no axis has a logged state"
-    return (max(times), f"{len(times)} times") if times else (0.0, "did not happen")
-
-
-def _settling(measured: Measured) -> tuple[float, str]:
-    stops = sum(axis.stop_count for axis in measured.axes)
-    unsettled = sum(axis.unsettled_count for axis in measured.axes)
-    if not measured.axes:
-        return math.nan, "no axis has a logged state"
-    if not stops:
-        return math.nan, "the valve never stopped"
-    if unsettled:
-        return math.inf, f"{unsettled} of {stops} stops ended before the rod stood still"
-    return max(axis.settling_ms_max for axis in measured.axes if axis.stop_count), f"{stops} stops"
-
-
-def _bus_load(measured: Measured) -> tuple[float, str]:
-    if not measured.bus.bitrate or not len(measured.bus.load_per_s):
-        return math.nan, "no bit rate or no frames in the log"
-    return measured.bus.load_ratio_max, f"at {measured.bus.bitrate / 1000:g} kbit/s, worst-case stuffing"
-
-
-def _age_ms(measured: Measured) -> tuple[float, str]:
-    if not measured.axes:
-        return math.nan, "no axis has a logged state"
-    worst = max(measured.axes, key=lambda axis: axis.command_age_ms_max_active)
-    return worst.command_age_ms_max_active, f"axis {worst.name}"
-
-
-_NO_REFERENCE = "no reference motion: the profile has no wave and --reference was not given"
-
-_MEASURES: dict[str, Measure] = {
-    "deadline_misses_max": lambda m: (float(m.latency.miss_count), f"of {m.latency.tick_count} ticks"),
-    "deadline_miss_ratio_max": _miss_ratio,
-    "skipped_periods_max": lambda m: (float(m.latency.skipped_count), ""),
-    "wake_lateness_us_max": _percentile_us("wake_lateness", "max"),
-    "wake_lateness_us_p999": _percentile_us("wake_lateness", "p999"),
-    "execution_us_max": _percentile_us("execution", "max"),
-    "response_us_max": _percentile_us("response", "max"),
-    "command_age_ms_max": _age_ms,
-    "frames_rejected_max": lambda m: (float(sum(m.bus.rejected.values())), f"of {m.bus.received_count} received"),
-    "bus_load_ratio_max": _bus_load,
-    "fail_safe_ms_max": _fail_safe,
-    "ticks_lost_max": lambda m: (float(m.latency.lost_count), ""),
-    "pressure_mpa_min": _over_axes(lambda axis: axis.pressure_mpa_min, min),
-    "pressure_mpa_max": _over_axes(lambda axis: axis.pressure_mpa_max),
-    "rod_position_mm_min": _over_axes(lambda axis: axis.position_mm_min, min),
-    "rod_position_mm_max": _over_axes(lambda axis: axis.position_mm_max),
-    "rod_speed_mmps_max": _over_axes(lambda axis: axis.speed_mmps_max),
-    "tracking_error_mm_max": _over_axes(lambda axis: axis.tracking_mm_max, lacking=_NO_REFERENCE),
-    "tracking_error_mm_rms": _over_axes(lambda axis: axis.tracking_mm_rms, lacking=_NO_REFERENCE),
-    "settling_ms_max": _settling,
-    "end_stop_ticks_max": _flag("end stop"),
-    "cavitation_ticks_max": _flag("cavitation"),
-    "outside_training_ticks_max": _flag("outside training range"),
-    "check_failures_max": _over_checks(lambda check: float(check.failed_count)),
-    "check_pressure_mpa_max": _over_checks(
-        lambda check: max(check.error("chamber 1 pressure").max, check.error("chamber 2 pressure").max)
-    ),
-    "check_position_mm_max": _over_checks(lambda check: check.error("rod position").max),
-}
-assert set(_MEASURES) == set(KEYS) - set(_EXPLAINING)
+        kept = found.value >= limit if key.endswith("_min") else found.value <= limit
+        outcome = PASSED if kept else FAILED
+    return Judgement(key, KEYS[key].doc, limit, found.value, outcome, found.detail, unit, found.over, code, by_default)

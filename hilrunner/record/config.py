@@ -57,6 +57,7 @@ class RecorderConfig:
     sent_signals: list[str] = field(default_factory=list)  # MESSAGE.signal of every entry of the ring's clamped_count
     cpus: list[int] | None = None  # cores the recorder may use; None: all but the runner's choice
     check: CheckConfig | None = None
+    module: str = "hilrunner.record"  # the program that takes the records: this room's, or one that keeps no log
 
 
 def encode(config: RecorderConfig) -> str:

@@ -165,7 +165,7 @@ def start_recorder(config: recorder_config.RecorderConfig, ring: ring_layout.Rin
     handed_over += [] if config.check is None else [config.check.plants_fd]
     try:
         process = subprocess.Popen(
-            [sys.executable, "-m", "hilrunner.record"],
+            [sys.executable, "-m", config.module],
             env=environment,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

@@ -39,6 +39,8 @@ class LogWriter:
         attachments: (name, media type, data) of files to keep inside the log.
     """
 
+    verdict = None  # a log is judged by who reads it
+
     def __init__(
         self,
         path: str | Path,

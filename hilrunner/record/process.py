@@ -86,13 +86,19 @@ def open_log(settings: recorder_config.RecorderConfig) -> LogWriter | None:
     """The log of this run, or None when none is wanted."""
     if settings.log_path is None:
         return None
-    attachments = []
-    for one in settings.attachments:
-        attachments.append((one.name, one.media_type, attachment_data(one)))
     shape = ring_layout.RingShape(*settings.ring_shape)
+    attachments = read_attachments(settings)
     log = LogWriter(settings.log_path, settings.axis_names, shape.can_data_size, settings.metadata, attachments)
     check_attachments(log.path, attachments)
     return log
+
+
+def read_attachments(settings: recorder_config.RecorderConfig) -> list[tuple[str, str, bytes]]:
+    """(name, media type, data) of every file the log is to keep."""
+    attachments = []
+    for one in settings.attachments:
+        attachments.append((one.name, one.media_type, attachment_data(one)))
+    return attachments
 
 
 def attachment_data(one: recorder_config.Attachment) -> bytes:
@@ -114,8 +120,12 @@ def open_live(settings: recorder_config.RecorderConfig):
     return LiveView(settings)
 
 
-def main() -> int:
-    """Entry of `python -m hilrunner.record`; exit code 0 when the log was finished, 2 when it was refused."""
+def main(make_log=open_log) -> int:
+    """Entry of `python -m hilrunner.record`; exit code 0 when the log was finished, 2 when it was refused.
+
+    Args:
+        make_log: called with the settings; gives the log, None, or what takes records in place of a log (evidence.tally).
+    """
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
     text = sys.stdin.read()
@@ -129,7 +139,7 @@ def main() -> int:
     watch = Watch(settings.parent_pid)
     try:
         live = open_live(settings)  # first: a port in use shall leave no log behind
-        recorder = Recorder(settings, drain, open_log(settings), live=live)
+        recorder = Recorder(settings, drain, make_log(settings), live=live)
     except (HilrunnerError, OSError) as error:
         report({"error": error_parts(error)})
         drain.store(ring_layout.WORD_RECORDER_READY, READY_REFUSED)

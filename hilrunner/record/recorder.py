@@ -9,7 +9,7 @@ from hilrunner.base import ring as ring_layout
 from hilrunner.base import status
 from hilrunner.record.check_worker import CheckWorker
 from hilrunner.record.config import RecorderConfig
-from hilrunner.record.drain import Drain
+from hilrunner.record.drain import Drain, Dropped
 from hilrunner.record.mcap_log import LOG_LEVEL_ERROR, LOG_LEVEL_INFO, LOG_LEVEL_WARNING, LogWriter
 from hilrunner.record.statistics import (
     HISTOGRAM_ATTACHMENT,
@@ -40,9 +40,11 @@ class Recorder:
         self.check = check
         self.live = live
         self.tick_count = 0
+        self.frame_count = 0
+        self.miss_count = 0
         self.last_tick = -1
         self.begin_mono_ns = time.monotonic_ns()
-        self._dropped_ticks = 0
+        self._dropped = Dropped(0, 0, 0)
         self._lost_bytes = 0
         self._check_error_told = False
 
@@ -70,6 +72,7 @@ class Recorder:
 
     def take_misses(self, miss: np.ndarray) -> None:
         """Missed deadlines, in order."""
+        self.miss_count += len(miss)
         if self.log:
             self.log.write_miss(miss, self.start_real_ns, self.settings.period_ns)
         end_real_ns = self.start_real_ns + (miss["tick"].astype(np.int64) + 1) * self.settings.period_ns
@@ -77,6 +80,7 @@ class Recorder:
 
     def take_frames(self, can: np.ndarray) -> None:
         """CAN frames, in order."""
+        self.frame_count += len(can)
         if self.log:
             self.log.write_can(can, self.start_mono_ns, self.start_real_ns)
 
@@ -127,13 +131,16 @@ class Recorder:
 
     def account(self) -> None:
         """Tell of ticks the ring dropped and bytes the disk refused since the last call."""
-        dropped = self.drain.dropped().ticks
-        if dropped > self._dropped_ticks:
-            self.event(
-                LOG_LEVEL_ERROR,
-                f"ring full: {dropped - self._dropped_ticks} ticks dropped near tick {self.last_tick}, {dropped} in all",
-            )
-            self._dropped_ticks = dropped
+        dropped = self.drain.dropped()
+        if dropped != self._dropped:
+            kinds = zip(dropped._fields, dropped, self._dropped, strict=True)
+            told = [
+                f"{now - before} {kind} dropped near tick {self.last_tick}, {now} in all"
+                for kind, now, before in kinds
+                if now > before
+            ]
+            self.event(LOG_LEVEL_ERROR, f"ring full: {'; '.join(told)}")
+            self._dropped = dropped
         if self.log and self.log.lost_bytes > self._lost_bytes:
             self.drain.store(ring_layout.WORD_RECORDER_LOST_BYTES, self.log.lost_bytes)
             self.event(LOG_LEVEL_ERROR, f"disk refused {self.log.lost_bytes} bytes ({self.log.lost_messages} messages)")
@@ -175,7 +182,8 @@ class Recorder:
         wall_s = (time.monotonic_ns() - self.begin_mono_ns) * 1e-9
         dropped = self.drain.dropped()
         return {
-            "log_path": str(log.path) if log else None,
+            "log_path": str(log.path) if log and log.path else None,
+            "verdict": log.verdict if log else None,
             "exit_reason": status.EXIT_NAMES[reason],
             "tick_count": self.tick_count,
             "last_tick": self.last_tick,
@@ -207,6 +215,8 @@ class Recorder:
             "clock_offset_ns": self.start_real_ns - self.start_mono_ns,
             "tick_count": self.tick_count,
             "last_tick": self.last_tick,
+            "frame_records": self.frame_count,
+            "miss_records": self.miss_count,
             "dropped_ticks": dropped.ticks,
             "dropped_misses": dropped.misses,
             "dropped_frames": dropped.frames,
@@ -222,16 +232,16 @@ class Recorder:
             "clamped": clamped_counts(self.drain.ring, self.settings.sent_signals),
         }
         if self.check:
-            tables["check"] = _flat(self.check.summary())
+            tables["check"] = flat(self.check.summary())
         return {name: {key: str(value) for key, value in table.items()} for name, table in tables.items()}
 
 
-def _flat(table: dict, prefix: str = "") -> dict:
+def flat(table: dict, prefix: str = "") -> dict:
     """Nested tables as one, keys joined by a dot; what has no value is left out."""
     out = {}
     for key, value in table.items():
         if isinstance(value, dict):
-            out |= _flat(value, f"{prefix}{key}.")
+            out |= flat(value, f"{prefix}{key}.")
         elif value is not None:
             out[prefix + key] = value
     return out

@@ -37,7 +37,9 @@ SPEC = (
     LimitSpec("bus_load_ratio_max", 0, 1, "worst second of the bus (needs the bit rate)"),
     LimitSpec("fail_safe_ms_max", 0, 1e9, "last valid command to the latched fail-safe, each time it happened"),
     # log
-    LimitSpec("ticks_lost_max", 0, _COUNT, "ticks that ran but are not in the log"),
+    LimitSpec("ticks_lost_max", 0, _COUNT, "ticks that ran but are not in the log (default 0)"),
+    LimitSpec("frames_lost_max", 0, _COUNT, "frames received or sent that are not in the log (default 0)"),
+    LimitSpec("misses_lost_max", 0, _COUNT, "misses whose cause is not in the log (default 0)"),
     # plant
     LimitSpec("pressure_mpa_min", -1, 1000, "lowest chamber pressure, gauge"),
     LimitSpec("pressure_mpa_max", -1, 1000, "highest chamber pressure, gauge"),
@@ -52,12 +54,30 @@ SPEC = (
     LimitSpec("cavitation_ticks_max", 0, _COUNT, "ticks with a cavitating chamber"),
     LimitSpec("outside_training_ticks_max", 0, _COUNT, "ticks outside the surrogate's training range"),
     # model
-    LimitSpec("check_failures_max", 0, _COUNT, "ticks out of the cross-check's tolerance"),
+    LimitSpec("check_failures_max", 0, _COUNT, "ticks out of the cross-check's tolerance (default 0)"),
+    LimitSpec("unchecked_ticks_max", 0, _COUNT, "ticks the cross-check has not looked at (default 0)"),
     LimitSpec("check_pressure_mpa_max", 0, 1000, "largest pressure distance from the first-principle reference"),
     LimitSpec("check_position_mm_max", 0, 1e5, "largest position distance from the first-principle reference"),
 )
 KEYS = {spec.key: spec for spec in SPEC}
 SETTLING_SPEED_MMPS = 0.5
+# judged in every run, also where the profile names no limit: what is missing or wrong by itself never passes
+DEFAULTS = {
+    "ticks_lost_max": 0.0,
+    "frames_lost_max": 0.0,
+    "misses_lost_max": 0.0,
+    "check_failures_max": 0.0,
+    "unchecked_ticks_max": 0.0,
+}
+_UNITS = {
+    "us": "us", "ms": "ms", "mm": "mm", "mmps": "mm/s", "mpa": "MPa", "ratio": "", "ticks": "ticks", "misses": "misses",
+    "periods": "periods", "frames": "frames", "failures": "ticks",
+}  # fmt: skip
+
+
+def unit_of(key: str) -> str:
+    """The unit of a limit, read from its key; empty for a ratio."""
+    return next((_UNITS[word] for word in reversed(key.split("_")) if word in _UNITS), "")
 
 
 def read_limits(table: dict, place: str = "limits") -> dict[str, float]:

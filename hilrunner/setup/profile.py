@@ -51,6 +51,9 @@ class Bench(Struct, forbid_unknown_fields=True, frozen=True):
         bool,
         Meta(description="run the tick once for practice while waiting, so that its code is warm (docs/realtime.md)"),
     ] = True
+    require_firmware: Annotated[
+        bool, Meta(description="a run on a bus in which an axis never gets a valid command fails")
+    ] = True
     engine: Annotated[
         Literal["surrogate", "reference", "onnx"], Meta(description="the plant, where the command names none")
     ] = "surrogate"

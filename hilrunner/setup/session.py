@@ -33,6 +33,9 @@ from hilrunner.setup.run_manifest import run_files, run_metadata
 _START_DELAY_NS = 20_000_000  # from "everything is ready" to the deadline of tick 0
 _FOREVER = 1 << 62
 _RECORDER_WAIT_S = 60.0
+_TALLY_MODULE = (
+    "hilrunner.evidence.tally_process"  # takes the records of a run that keeps no log, and judges its limits
+)
 
 
 @dataclass(frozen=True)
@@ -66,6 +69,7 @@ class RunResult:
     mode: str
     start_up_s: float  # from the call to the deadline of tick 0
     bus_error: str = ""
+    has_stimulus: bool = False  # commands came from a stimulus, not from a firmware
     log_path: Path | None = None
 
 
@@ -106,13 +110,13 @@ class Session:
 
     def _prepare(self) -> None:
         options = self.options
-        if options.log_path is not None:
+        if self._is_recorded():
             self._parcel = pack(self.loaded, options.engine, models=options.engine != status.ENGINE_REFERENCE)
             self.loaded = self._parcel.loaded
         if options.channel is not None:
             self.bus = open_bus(options.interface, options.channel, options.bitrate, options.fd)
         shape = ring_shape(self.loaded)
-        if options.log_path is None and options.live_port is None and not self.loaded.profile.crosscheck.enabled:
+        if options.live_port is None and not self._is_recorded() and not self.loaded.profile.crosscheck.enabled:
             self.ring = local_ring(shape)
         else:
             self._block, self.ring = launch.create_ring(shape)
@@ -149,6 +153,10 @@ class Session:
         self._store(ring_layout.WORD_PERIOD_NS, period_ns(self.loaded))
         self._store(ring_layout.WORD_START_MONO_NS, self.start_mono_ns)
         self._store(ring_layout.WORD_START_REAL_NS, self.start_mono_ns + time.time_ns() - time.monotonic_ns())
+
+    def _is_recorded(self) -> bool:
+        """Whether every tick is wanted by a log, or by limits that are judged without one."""
+        return self.options.log_path is not None or bool(self.loaded.profile.limits)
 
     def _drain_stale_frames(self) -> None:
         """What arrived before tick 0 belongs to no tick (python-can binds before it filters)."""
@@ -222,6 +230,7 @@ class Session:
             mode=host.mode_label(self.grants, self.host_report.findings, late_ticks=late),
             start_up_s=(self.start_mono_ns - self.begin_mono_ns) / NS_PER_S,
             bus_error=bus_error,
+            has_stimulus=self.options.stimulus is not None,
             log_path=self.options.log_path,
         )
 
@@ -266,6 +275,7 @@ class Session:
             live_port=self.options.live_port,
             sent_signals=sent_signal_names(self.loaded),
             check=self._check_config(),
+            module=_TALLY_MODULE if self.options.log_path is None and self._is_recorded() else "hilrunner.record",
         )
 
     def _check_config(self) -> CheckConfig | None:

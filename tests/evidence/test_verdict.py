@@ -27,6 +27,8 @@ EDGES = {
     "bus_load_ratio_max": (0.55, 0.53),
     "fail_safe_ms_max": (61.0, 60.0),
     "ticks_lost_max": (0, None),
+    "frames_lost_max": (0, None),
+    "misses_lost_max": (0, None),
     "pressure_mpa_min": (0.5, 0.7),
     "pressure_mpa_max": (10.0, 9.0),
     "rod_position_mm_min": (599.0, 601.0),
@@ -37,6 +39,7 @@ EDGES = {
     "cavitation_ticks_max": (0, None),
     "outside_training_ticks_max": (5, 4),
     "check_failures_max": (7, 6),
+    "unchecked_ticks_max": (0, None),
     "check_pressure_mpa_max": (0.01, 0.0001),
     "check_position_mm_max": (0.1, 0.0001),
 }
@@ -75,7 +78,8 @@ def test_all_limits_kept_pass(tmp_path):
     failed = [one for one in report.verdict.judgements if one.outcome != PASSED]
     assert failed == []
     assert report.verdict.exit_code == 0
-    assert len(report.verdict.judgements) == len(EDGES) + 1
+    assert {one.key for one in report.verdict.judgements if not one.by_default} == set(EDGES)
+    assert report.verdict.outcome == PASSED and report.verdict.passed
 
 
 def test_every_limit_broken_fails(tmp_path):
@@ -87,7 +91,16 @@ def test_every_limit_broken_fails(tmp_path):
 
 
 def test_without_model_limits_the_exit_code_is_1(tmp_path):
-    assert report_of(tmp_path, "rod_speed_mmps_max = 1.0").verdict.exit_code == 1
+    report = report_of(tmp_path, "rod_speed_mmps_max = 1.0\ncheck_failures_max = 7")
+    assert report.verdict.exit_code == 1
+
+
+def test_a_failed_cross_check_does_not_hide_a_broken_limit(tmp_path):
+    """Exit code 5 comes first, and everything else that is wrong is told with it."""
+    verdict = report_of(tmp_path, "rod_speed_mmps_max = 1.0").verdict
+    assert verdict.exit_code == 5
+    assert [text.split(":")[0] for text in verdict.causes] == ["check_failures_max", "rod_speed_mmps_max"]
+    assert "18 against 1 mm/s" in verdict.causes[1]
 
 
 def test_what_cannot_be_told_does_not_pass(tmp_path):
@@ -96,6 +109,7 @@ def test_what_cannot_be_told_does_not_pass(tmp_path):
     assert outcomes["tracking_error_mm_max"].outcome == NOT_JUDGED
     assert "no wave" in outcomes["tracking_error_mm_max"].detail
     assert outcomes["response_us_max"].outcome == NOT_JUDGED
+    assert "limit 10 mm" in next(text for text in report.verdict.causes if text.startswith("tracking_error_mm_max"))
     assert report.verdict.exit_code == 1
 
 
@@ -112,15 +126,17 @@ def test_a_limit_of_another_version_is_told_and_does_not_pass(tmp_path):
 
 
 def test_a_run_that_did_not_end_as_planned_fails(tmp_path):
-    path = synthetic_run.write_run(tmp_path / "run.mcap", 500, profile_text=profile(""))
-    data = path.read_bytes()
-    lost = tmp_path / "lost.mcap"
-    lost.write_bytes(data.replace(b"duration reached", b"state not finite"))
-    assert build_report(path).verdict.exit_code == 0
-    assert build_report(lost).verdict.judgements[0].outcome == FAILED
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(data.replace(b"exit_reason", b"exit_season"))
-    assert build_report(cut).verdict.judgements[0].outcome == NOT_JUDGED
+    def ended(reason):
+        metadata = {"run": {"exit_reason": reason}}
+        path = synthetic_run.write_run(tmp_path / "run.mcap", 500, profile_text=profile(""), metadata=metadata)
+        verdict = build_report(path).verdict
+        return next(one for one in verdict.judgements if one.key == "ended_as_planned").outcome, verdict.exit_code
+
+    assert ended("duration reached") == (PASSED, 0)
+    assert ended("state not finite") == (FAILED, 1)
+    assert ended("CAN lost") == (FAILED, 4)
+    assert ended("deadline budget exceeded") == (FAILED, 3)
+    assert ended("of another version") == (NOT_JUDGED, 1)
 
 
 def test_tracking_follows_a_reference_file(tmp_path):
@@ -151,12 +167,14 @@ def test_settling_is_timed_from_the_stop_of_the_valve():
 
 
 def test_junit_carries_every_limit(tmp_path):
-    report = report_of(tmp_path, "rod_speed_mmps_max = 1.0\npressure_mpa_max = 30.0\ntracking_error_mm_max = 1.0")
+    limits = "rod_speed_mmps_max = 1.0\npressure_mpa_max = 30.0\ntracking_error_mm_max = 1.0\ncheck_failures_max = 7"
+    report = report_of(tmp_path, limits)
     text = junit_xml(report.verdict, "suite <1>", 3.0, {"note": "a\x07b & c"})
     suite = ElementTree.fromstring(text.encode()).find("testsuite")
-    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("4", "1", "1")
+    count = str(len(report.verdict.judgements))
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == (count, "1", "1")
     cases = {case.get("name"): case for case in suite.iter("testcase")}
-    assert "18, limit 1" in cases["rod_speed_mmps_max"].find("failure").get("message")
+    assert "18 against 1 mm/s" in cases["rod_speed_mmps_max"].find("failure").get("message")
     assert cases["tracking_error_mm_max"].find("error") is not None
     assert cases["pressure_mpa_max"].find("failure") is None
     assert suite.find("properties/property").get("value") == r"a\x07b & c"

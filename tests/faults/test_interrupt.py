@@ -12,7 +12,7 @@ import pytest
 from hilrunner import cli
 from hilrunner.base import exit_codes, status
 from hilrunner.cli import INTERRUPTED
-from hilrunner.commands.run_session import exit_code
+from hilrunner.commands.run_verdict import exit_code_of
 from hilrunner.evidence.reader import read_run
 from hilrunner.setup.arm import local_ring, ring_shape
 from hilrunner.setup.profile import load_profile
@@ -148,7 +148,7 @@ def test_a_run_without_a_tick_has_passed_nothing(ticks, code):
     ring = local_ring(ring_shape(load_profile("amc-lift"), seconds=0.01))
     bench = SimpleNamespace(progress=np.array([(ticks,)], [("tick_count", "i8")]))
     ended = SimpleNamespace(exit_reason=status.EXIT_SIGNAL, armed=SimpleNamespace(bench=bench), ring=ring, recorder={})
-    assert exit_code(ended) == code
+    assert exit_code_of(ended, {"exit_code": exit_codes.PASSED}) == code
 
 
 def test_who_insists_ends_a_run_that_does_not_stop(tmp_path):

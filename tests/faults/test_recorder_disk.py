@@ -13,7 +13,7 @@ from hilrunner.record.mcap_log import LogWriter
 
 CHUNKS = 6
 TICKS_A_CHUNK = 20
-HEAD_WRITES = 1 + 8 + 9 + 1  # header, schemas, channels, metadata
+HEAD_WRITES = 1 + 8 + 9 + 1 + 1  # header, schemas, channels, metadata, seal
 
 
 class Disk:

@@ -134,8 +134,8 @@ def frames_of(tick: np.ndarray, rng: np.random.Generator, data_size: int) -> np.
     return frames
 
 
-def run_metadata(tick_count: int) -> dict[str, dict[str, str]]:
-    """The `run` and `host` tables as a run writes them."""
+def run_metadata() -> dict[str, dict[str, str]]:
+    """The `run` and `host` tables as a run writes them at its start."""
     return {
         "run": {
             "profile": "synthetic",
@@ -144,8 +144,6 @@ def run_metadata(tick_count: int) -> dict[str, dict[str, str]]:
             "warm_up_ticks": "0",
             "start_mono_ns": str(START_MONO_NS),
             "start_real_ns": str(START_REAL_NS),
-            "exit_reason": status.EXIT_NAMES[status.EXIT_DURATION],
-            "tick_count": str(tick_count),
             "seed": "1",
             "bitrate": "1000000",
         },
@@ -167,11 +165,14 @@ def write_run(
 
     Args:
         edit: called with a dict of the arrays of each block before they are written; may change them in place.
-        metadata: entries to add to the tables, or to put in place of theirs.
+        metadata: entries to add to the tables, or to put in place of theirs; the counts of the end are those of the records
+            before `edit`.
     """
     rng = np.random.default_rng(seed)
     attachments = [("profile.toml", "application/toml", profile_text.encode())]
-    tables = run_metadata(tick_count)
+    tables = run_metadata()
+    counts = dict.fromkeys(("tick_count", "frame_records", "miss_records"), 0)
+    outcomes: dict[str, int] = {}
     for name, entries in (metadata or {}).items():
         tables[name] = tables.get(name, {}) | entries
     writer = LogWriter(path, [AXIS], data_size, tables, attachments)
@@ -180,12 +181,30 @@ def write_run(
         command, state, check = plant_of(tick, rng)
         frames = frames_of(tick, rng, data_size)
         block = {"tick": tick, "miss": miss, "command": command, "state": state, "check": check, "can": frames}
+        for key, kind in (("tick_count", "tick"), ("frame_records", "can"), ("miss_records", "miss")):
+            counts[key] += len(block[kind])
         if edit is not None:
             edit(block)
+        _count_outcomes(block["can"], outcomes)
         _write_block(writer, block)
     writer.write_log(20, "recorder", "synthetic run", START_REAL_NS)
-    writer.close()
+    writer.close(_closing(tables, counts, outcomes, metadata or {}))
     return Path(path)
+
+
+def _count_outcomes(frames: np.ndarray, outcomes: dict[str, int]) -> None:
+    received = frames[(frames["flags"] & records.CAN_FRAME_SENT) == 0]
+    for code, count in zip(*np.unique(received["status"], return_counts=True), strict=True):
+        name = f"{AXIS}.{status.FRAME_STATUS_NAMES[code]}"
+        outcomes[name] = outcomes.get(name, 0) + int(count)
+
+
+def _closing(tables: dict, counts: dict[str, int], outcomes: dict[str, int], given: dict) -> dict[str, dict[str, str]]:
+    """The tables as the recorder writes them at the end."""
+    ended = {"exit_reason": status.EXIT_NAMES[status.EXIT_DURATION], **counts}
+    ended |= dict.fromkeys(("dropped_ticks", "dropped_frames", "dropped_misses", "lost_messages", "lost_bytes"), 0)
+    run = {key: str(value) for key, value in ended.items()} | tables["run"] | given.get("run", {})
+    return {"run": run, "frames": {key: str(count) for key, count in outcomes.items()} | given.get("frames", {})}
 
 
 def _write_block(writer: LogWriter, block: dict[str, np.ndarray]) -> None:

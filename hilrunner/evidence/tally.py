@@ -1,0 +1,170 @@
+"""The judgement of a run that keeps no log: the recorder's records are summed as they come, and judged at the end.
+
+`Tally` stands in the place of a log (record.mcap_log.LogWriter) and takes the same records; the sums and the judgement are those of a
+log that is read (evidence.plant_use, bus, check_use, verdict), so that a limit means the same with a log and without one.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hilrunner.base import records
+from hilrunner.base.records import TICK_FLAG_MISS
+from hilrunner.evidence.bus import BusTally
+from hilrunner.evidence.check_use import CheckTally
+from hilrunner.evidence.coverage import Count, coverage_of
+from hilrunner.evidence.facts import RunFacts, read_facts
+from hilrunner.evidence.judging import silent_axes
+from hilrunner.evidence.latency import Latency, Timeline, loop_distributions
+from hilrunner.evidence.limit_measures import Measured
+from hilrunner.evidence.plant_use import AxisTally, reference_m
+from hilrunner.evidence.reader import Attachment, Run
+from hilrunner.evidence.verdict import MEMORY, Subject, judge
+from hilrunner.setup.limits import SETTLING_SPEED_MMPS
+
+_PLACE = Path("(no log)")
+
+
+class Tally:
+    """Takes the records of one run in place of a log.
+
+    Args:
+        axis_names: one name an axis, in the order of the COMMAND and STATE records.
+        metadata, attachments: what the log would carry (record.config.RecorderConfig).
+    """
+
+    path = None
+    size_bytes = lost_bytes = lost_messages = write_stall_ns_max = 0
+
+    def __init__(
+        self,
+        axis_names: Sequence[str],
+        metadata: Mapping[str, Mapping[str, str]],
+        attachments: Sequence[tuple[str, str, bytes]],
+    ) -> None:
+        self.verdict: dict | None = None
+        self._names = tuple(axis_names)
+        self._metadata = {name: dict(table) for name, table in metadata.items()}
+        self._attachments = {name: Attachment(media_type, data) for name, media_type, data in attachments}
+        self._frames, self._checks = BusTally(), CheckTally(keep_traces=False)
+        self._counts = dict.fromkeys(("ticks", "warm_up", "frames", "miss_rows", "skipped"), 0)
+        self._late_ticks: set[int] = set()
+        self._facts = read_facts(self._run())
+        speed = self._facts.limits.get("settling_speed_mmps", SETTLING_SPEED_MMPS)
+        self._axes = {name: AxisTally(name, self._facts.period_ns, speed) for name in self._names}
+        profile = self._facts.profile
+        self._profiles = {axis.name: axis for axis in profile.axis} if profile else {}
+
+    def write_ticks(self, tick, command, state, start_mono_ns: int, start_real_ns: int) -> None:
+        """Periods, as LogWriter takes them."""
+        if not len(tick):
+            return
+        counted = tick["tick"] >= self._facts.warm_up_ticks
+        self._counts["ticks"] += len(tick)
+        self._counts["warm_up"] += int((~counted).sum())
+        self._counts["skipped"] += int(tick["skipped_count"][counted].sum())
+        self._late_ticks |= set(tick["tick"][counted & ((tick["flags"] & TICK_FLAG_MISS) != 0)].tolist())
+        for index, name in enumerate(self._names):
+            of_axis = slice(index, None, len(self._names))
+            target = reference_m(tick["tick"], self._facts.period_ns, self._profiles.get(name), None)
+            self._axes[name].take(state[of_axis], command[of_axis], target)
+
+    def write_check(self, axis_name: str, check: np.ndarray, log_real_ns, publish_real_ns) -> None:
+        """Cross-check records of one axis."""
+        self._checks(f"/{axis_name}/check", check)
+
+    def write_miss(self, miss: np.ndarray, start_real_ns: int, period_ns: int) -> None:
+        """Misses."""
+        self._counts["miss_rows"] += len(miss)
+        self._late_ticks |= set(miss["tick"][miss["lateness_ns"] > 0].tolist())
+
+    def write_can(self, can: np.ndarray, start_mono_ns: int, start_real_ns: int) -> None:
+        """Frames, received and sent."""
+        sent = (can["flags"] & records.CAN_FRAME_SENT) != 0
+        self._counts["frames"] += len(can)
+        self._frames("/can/rx", can[~sent])
+        self._frames("/can/tx", can[sent])
+
+    def write_statistics(self, statistics: np.ndarray, log_real_ns: int, publish_real_ns: int) -> None:
+        """Nothing: the histograms come whole at the end."""
+
+    def write_log(self, level: int, name: str, text: str, real_ns: int) -> None:
+        """Nothing: there is nobody to read it."""
+
+    def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
+        """The loop's histograms, at the end."""
+        self._attachments[name] = Attachment(media_type, data)
+
+    def message_counts(self) -> dict[str, int]:
+        """None: nothing is kept."""
+        return {}
+
+    def flush(self) -> None:
+        """Nothing is pending."""
+
+    def close(self, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
+        """Judge the run; the verdict stands in `verdict` as plain values."""
+        for name, table in (metadata or {}).items():
+            self._metadata[name] = self._metadata.get(name, {}) | {key: str(value) for key, value in table.items()}
+        run = self._run()
+        facts = read_facts(run)
+        self.verdict = judge(self._subject(run, facts)).as_dict()
+
+    def _subject(self, run: Run, facts: RunFacts) -> Subject:
+        counts = self._counts
+        bus, checks = self._frames.result(facts.bitrate), self._checks.results(facts.period_ns)
+        axes = [tally.result() for tally in self._axes.values() if counts["ticks"]]
+        told = coverage_of(run, bus, checks)
+        coverage = replace(
+            told,
+            ticks=Count(counts["ticks"], told.ticks.had),
+            frames=Count(counts["frames"], told.frames.had),
+            misses=Count(counts["miss_rows"], told.misses.had),
+        )
+        return Subject(
+            exit_reason=facts.exit_reason,
+            limits=facts.limits,
+            measured=Measured(self._latency(run, facts), bus, axes, checks, coverage, self._names),
+            profile_problem=facts.profile_problem,
+            silent_axes=silent_axes(run, facts, axes, self._names),
+            source=MEMORY,
+        )
+
+    def _latency(self, run: Run, facts: RunFacts) -> Latency:
+        """By counts and the loop's own histograms: no sample is kept."""
+        nothing = np.zeros(0)
+        return Latency(
+            period_ns=facts.period_ns,
+            tick_count=self._counts["ticks"],
+            warm_up_ticks=self._counts["warm_up"],
+            duration_s=0.0,
+            skipped_count=self._counts["skipped"],
+            lost_count=0,
+            miss_count=len(self._late_ticks),
+            misses=[],
+            causes={},
+            distributions={},
+            loop=loop_distributions(run),
+            worst_wake=[],
+            timeline=Timeline(nothing, nothing, nothing),
+        )
+
+    def _run(self) -> Run:
+        """What a log would hold beside its records."""
+        return Run(
+            path=_PLACE,
+            size_bytes=0,
+            topics={},
+            metadata=self._metadata,
+            attachments=self._attachments,
+            damage=(),
+            mismatches=(),
+            finished=True,
+            library="",
+            start_publish_ns=0,
+            first_log_ns=0,
+            schemas={},
+            missing_fields={},
+        )

@@ -1,0 +1,17 @@
+"""`python -m hilrunner.evidence.tally_process`: the recorder of a run that keeps no log but has limits to be judged by."""
+
+import sys
+
+from hilrunner.evidence.tally import Tally
+from hilrunner.record import process
+
+
+def main() -> int:
+    """The recorder process with a tally in place of its log."""
+    return process.main(
+        lambda settings: Tally(settings.axis_names, settings.metadata, process.read_attachments(settings))
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
