@@ -11,7 +11,6 @@ import struct
 import threading
 import time
 
-import cantools
 import numpy as np
 
 from hilrunner.base.compiled import entry
@@ -19,6 +18,7 @@ from hilrunner.realtime import e2e
 from hilrunner.realtime.clock import make_clock, now_mono_ns, wait_until
 from hilrunner.realtime.decode import CommandTable
 from hilrunner.realtime.socketcan import make_mailbox, receive_frames, send_frames
+from hilrunner.setup.database import load_database
 
 _SOCKET_BUFFER_BYTES = 4 << 20
 _INBOX_FRAMES = 512
@@ -43,7 +43,7 @@ def socket_pair() -> tuple[socket.socket, socket.socket]:
 
 def command_frames(dbc_path: str, table: CommandTable, valve_percent: float) -> np.ndarray:
     """Valid Active commands of every axis for every alive counter: uint8[16, axis, 16], `struct can_frame`."""
-    database = cantools.database.load_file(dbc_path, strict=False)
+    database = load_database(dbc_path)
     frames = np.zeros((e2e.COUNTER_MODULUS, len(table.can_id), 16), np.uint8)
     for axis, can_id in enumerate(table.can_id):
         message = database.get_message_by_frame_id(int(can_id) & 0x1FFFFFFF)

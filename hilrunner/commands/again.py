@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
-import numpy as np
-
 from hilrunner.base.errors import LogError, UsageError
+from hilrunner.setup.axes import period_s
 from hilrunner.setup.profile import LoadedProfile, load_profile
+from hilrunner.setup.stimulus import Stimulus, read_stimulus
+from hilrunner.setup.stimulus_facts import StimulusFacts
 
 _LOG_MAGIC = b"\x89MCAP0\r\n"
 
@@ -31,15 +32,17 @@ def load_again(name: str) -> LoadedProfile:
     return sealed_profile(_whole(name, columns={}))
 
 
-def stimulus_named(name: str, loaded: LoadedProfile, duration_s: float | None = None) -> np.ndarray:
-    """Valve commands for every tick, float64[tick, axis], from a schedule, a CAN log, or the log of a run; HilrunnerError."""
+def stimulus_named(
+    name: str, loaded: LoadedProfile, duration_s: float | None = None, channel: str | None = None
+) -> Stimulus:
+    """Valve commands for every tick from a schedule, a CAN log, or the log of a run; HilrunnerError."""
     if not is_log(name):
-        from hilrunner.setup.stimulus import load_stimulus
-
-        return load_stimulus(name, loaded, duration_s)
+        return read_stimulus(name, loaded, duration_s, channel or loaded.profile.stimulus.channel)
     from hilrunner.evidence.rerun import commands_again
 
-    return commands_again(_whole(name), loaded, duration_s)
+    commands = commands_again(_whole(name), loaded, duration_s)
+    span_s = len(commands) * period_s(loaded)
+    return Stimulus(commands, StimulusFacts(name, "log of a run", span_s, len(commands)))
 
 
 def _whole(name: str, columns: dict | None = None):

@@ -26,7 +26,7 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.setup.wire_span import bench_warnings
 
     loaded = load_again(args.profile)
-    profile_stimulus(loaded)
+    stimulus = profile_stimulus(loaded).facts
     engine = engine_named(loaded, args.engine)
     armed = arm_offline(loaded, engine)
     load = bus_load_ratio(profile_traffic(loaded, period_ns(loaded)), loaded.profile.can.bitrate)
@@ -48,7 +48,8 @@ def main(args: argparse.Namespace) -> int:
         "axes": axes,
         "bus_load_ratio": round(load, 4),
         "dbc": armed.dbc_path.name,
-        "warnings": _warnings(load) + bench_warnings(loaded, armed.axes),
+        "stimulus": stimulus.as_dict(),
+        "warnings": _warnings(load) + list(stimulus.warnings) + bench_warnings(loaded, armed.axes),
     }
     if args.json:
         print(json.dumps(found))
@@ -62,6 +63,7 @@ def main(args: argparse.Namespace) -> int:
     for report in armed.axes.model_reports:
         print("  " + report.text().replace("\n", "\n    "))
     print(f"  {found['dbc']}: bus load {100 * load:.1f} % of {loaded.profile.can.bitrate} bit/s")
+    print(f"  {stimulus.text()}")
     for warning in found["warnings"]:
         print(f"  warning: {warning}")
     return 0

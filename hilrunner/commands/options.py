@@ -17,6 +17,15 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {message.removeprefix('argument ')}; see {self.prog} --help\n")
 
 
+def add_stimulus_channel(parser) -> None:
+    """Which channel of a CAN log the valve commands are taken from."""
+    parser.add_argument(
+        "--stimulus-channel",
+        metavar="CH",
+        help="channel of a CAN log with the commands (default: the profile's, or the only one that carries them)",
+    )
+
+
 def seconds(text: str) -> float:
     """A duration above 0, finite."""
     value = _read(float, text, "a number of seconds")

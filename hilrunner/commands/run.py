@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="valve schedule, CAN log, or the log of a run, in place of commands from the bus",
     )
+    options.add_stimulus_channel(bus)
     run = parser.add_argument_group("run")
     run.add_argument(
         "--profile", default="amc-lift", metavar="NAME|FILE", help="default: %(default)s; a log: as it ran"

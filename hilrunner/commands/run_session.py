@@ -80,7 +80,7 @@ def _with_options(loaded: LoadedProfile, args: argparse.Namespace) -> LoadedProf
 
 def _options(args: argparse.Namespace, loaded: LoadedProfile) -> RunOptions:
     interface, channel = _bus_names(args)
-    stimulus = stimulus_named(args.stimulus, loaded) if args.stimulus else None
+    stimulus = stimulus_named(args.stimulus, loaded, channel=args.stimulus_channel) if args.stimulus else None
     if channel is None and stimulus is None:
         raise UsageError(
             "hilrunner run", "no bus and no stimulus", remedy="name a bus (--can vcan0) or a schedule (--stimulus FILE)"
@@ -95,7 +95,8 @@ def _options(args: argparse.Namespace, loaded: LoadedProfile) -> RunOptions:
         duration_s=args.duration,
         log_path=log_path,
         log_is_new=log_is_new,
-        stimulus=stimulus,
+        stimulus=None if stimulus is None else stimulus.commands,
+        stimulus_facts=None if stimulus is None else stimulus.facts,
         live_port=args.live,
         require_realtime=args.require_realtime,
         realtime=host.RealtimeOptions(priority=args.priority, cpu=args.cpu),

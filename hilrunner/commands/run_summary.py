@@ -93,7 +93,8 @@ def summarise_run(result: RunResult, exit_code: int) -> dict:
         "log": str(result.log_path) if result.log_path else None,
         "recorder": result.recorder,
         "engine_errors": _engine_errors(result),
-        "warnings": bench_warnings(result.armed.loaded, result.armed.axes),
+        "stimulus": result.stimulus_facts.as_dict() if result.stimulus_facts else None,
+        "warnings": _warnings(result),
         "grants": [grant.as_dict() for grant in result.grants],
     }
 
@@ -105,6 +106,11 @@ def finite(value):
     if isinstance(value, list | tuple):
         return [finite(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _warnings(result: RunResult) -> list[str]:
+    stimulus = result.stimulus_facts
+    return [*(stimulus.warnings if stimulus else ()), *bench_warnings(result.armed.loaded, result.armed.axes)]
 
 
 def _engine_errors(result: RunResult) -> list[str]:

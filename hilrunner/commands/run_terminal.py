@@ -28,6 +28,11 @@ def print_start(session: Session) -> None:
         print("  " + report.text().replace("\n", "\n    "))
     for warning in bench_warnings(session.loaded, axes):
         print(f"  warning: {warning}")
+    stimulus = session.options.stimulus_facts
+    if stimulus is not None:
+        print(f"  {stimulus.text()}")
+        for warning in stimulus.warnings:
+            print(f"  warning: {warning}")
     print(f"  bus: {session.bus.name if session.bus else 'none (stimulus)'}")
     refused = [grant for grant in session.grants if not grant.granted]
     print(f"  real time: {len(session.grants) - len(refused)} of {len(session.grants)} asked for were granted")

@@ -16,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--schedule", metavar="NAME|FILE", help="valve schedule, CAN log, or the log of a run (default: the profile's)"
     )
+    options.add_stimulus_channel(parser)
     parser.add_argument("--duration", type=options.seconds, metavar="S", help="default: as long as the schedule")
     parser.add_argument("--engine", choices=ENGINES, help="default: the profile's (bench.engine)")
     parser.add_argument("--compare", choices=ENGINES, metavar="ENGINE", help="a second engine; differences are printed")
@@ -36,34 +37,32 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.setup.axes import check_duration, engine_named
     from hilrunner.setup.parcel import pack
     from hilrunner.setup.simulate import simulate
-    from hilrunner.setup.stimulus import profile_schedule, profile_stimulus
+    from hilrunner.setup.stimulus import profile_stimulus
 
     loaded = load_again(args.profile)
     check_duration(args.duration, loaded)
-    schedule = args.schedule or profile_schedule(loaded)
     output.check_format(args.plot)
     check_new_log(args.out, args.overwrite)
     check_targets([args.plot])
     engine = engine_named(loaded, args.engine)
     name = status.ENGINE_NAMES[engine]
-    commands = (
-        stimulus_named(args.schedule, loaded, args.duration)
-        if args.schedule
-        else profile_stimulus(loaded, args.duration)
-    )
+    if args.schedule:
+        stimulus = stimulus_named(args.schedule, loaded, args.duration, args.stimulus_channel)
+    else:
+        stimulus = profile_stimulus(loaded, args.duration, args.stimulus_channel)
     parcel = None
     if args.out:
         networks = {name, args.compare} & {"surrogate", "onnx"}
         parcel = pack(loaded, engine, models=bool(networks))
         loaded = parcel.loaded
-    first = simulate(loaded, engine, commands, progress=output.progress("first"))
+    first = simulate(loaded, engine, stimulus.commands, output.progress("first"))
     second = None
     if args.compare:
-        second = simulate(loaded, status.ENGINE_NAMES.index(args.compare), commands, progress=output.progress("second"))
-    figures = output.figures(loaded, name, schedule, first, args.compare, second)
+        second = simulate(loaded, status.ENGINE_NAMES.index(args.compare), stimulus.commands, output.progress("second"))
+    figures = output.figures(loaded, name, stimulus.facts, first, args.compare, second)
     if args.out:
         with whole(args.out) as part:
-            output.write_log(part, parcel, first)
+            output.write_log(part, parcel, first, stimulus.facts)
     if args.plot:
         with whole(args.plot) as part:
             output.write_plot(part, loaded, first, second, name, args.compare)

@@ -15,6 +15,7 @@ from hilrunner.setup.model_onnxruntime import engine_errors
 from hilrunner.setup.parcel import Parcel
 from hilrunner.setup.profile import LoadedProfile
 from hilrunner.setup.simulate import Simulated
+from hilrunner.setup.stimulus_facts import StimulusFacts
 
 _SHOWN = (
     ("chamber_1_pressure_pa", "p1", "MPa", PA_PER_MPA),
@@ -47,7 +48,12 @@ def progress(label: str) -> Callable[[float], None] | None:
 
 
 def figures(
-    loaded: LoadedProfile, engine: str, schedule: str, first: Simulated, compare: str | None, second: Simulated | None
+    loaded: LoadedProfile,
+    engine: str,
+    stimulus: StimulusFacts,
+    first: Simulated,
+    compare: str | None,
+    second: Simulated | None,
 ) -> dict:
     """Ranges of every axis and, with a second engine, the largest and RMS differences."""
     axes = []
@@ -63,14 +69,15 @@ def figures(
     finite = not int(np.bitwise_or.reduce(first.state["flags"].ravel())) & status.FLAG_NOT_FINITE
     return {
         "profile": loaded.profile.name,
-        "schedule": schedule,
+        "schedule": stimulus.name,
+        "stimulus": stimulus.as_dict() | {"text": stimulus.text()},
         "engine": engine,
         "compare": compare,
         "tick_count": len(first.tick),
         "duration_s": len(first.tick) * period_ns(loaded) * 1e-9,
         "finite": finite,
         "engine_errors": [] if finite else _engine_errors(loaded, first, second),
-        "warnings": load_warnings(loaded, first.armed.axes.plants),
+        "warnings": [*stimulus.warnings, *load_warnings(loaded, first.armed.axes.plants)],
         "axes": axes,
     }
 
@@ -100,7 +107,8 @@ def text(found: dict) -> str:
     """The figures for people."""
     lines = [
         f"profile {found['profile']}, schedule {found['schedule']}, engine {found['engine']}: "
-        f"{found['duration_s']:.3f} s simulated ({found['tick_count']} ticks)"
+        f"{found['duration_s']:.3f} s simulated ({found['tick_count']} ticks)",
+        f"  {found['stimulus']['text']}",
     ]
     for axis in found["axes"]:
         ranges = ", ".join(
@@ -124,7 +132,7 @@ def text(found: dict) -> str:
     return "\n".join(lines)
 
 
-def write_log(path: Path, parcel: Parcel, run: Simulated) -> None:
+def write_log(path: Path, parcel: Parcel, run: Simulated, stimulus: StimulusFacts) -> None:
     """A log like that of a run, label 'simulated clock'; it replays bit for bit."""
     from hilrunner.record.mcap_log import LogWriter
     from hilrunner.record.read_back import check_attachments
@@ -134,7 +142,7 @@ def write_log(path: Path, parcel: Parcel, run: Simulated) -> None:
     files = run_files(parcel, run.armed.bench.stimulus)
     attachments = [(one.name, one.media_type, one.data) for one in files]
     metadata = run_metadata(loaded, files, run.engine, [], None)
-    metadata["run"] |= {"exit_reason": status.EXIT_NAMES[status.EXIT_STIMULUS_END], "stimulus": "schedule"}
+    metadata["run"] |= {"exit_reason": status.EXIT_NAMES[status.EXIT_STIMULUS_END], "stimulus": stimulus.text()}
     names = [axis.name for axis in loaded.profile.axis]
     log = LogWriter(path, names, 64 if loaded.profile.can.fd else 8, metadata, attachments)
     check_attachments(path, attachments)

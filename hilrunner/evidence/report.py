@@ -22,7 +22,9 @@ from hilrunner.evidence.latency import Latency, measure_latency
 from hilrunner.evidence.plant_use import AxisUse, measure_plant
 from hilrunner.evidence.reader import Columns, Event, Run, read_run
 from hilrunner.evidence.verdict import Verdict, judge
+from hilrunner.setup.csv_text import number, read_table, shown
 from hilrunner.setup.limits import SETTLING_SPEED_MMPS
+from hilrunner.setup.text import read_text
 
 COLUMNS: Columns = {
     "/rt/tick": (
@@ -144,13 +146,8 @@ def read_reference(path: str | Path, run: Run) -> dict[str, np.ndarray]:
     Time counts from tick 0. Returns axis -> float64[n, 2], s and m. Raises LogError.
     """
     place = str(path)
-    try:
-        with open(path, encoding="utf-8") as file:
-            head = [name.strip() for name in file.readline().split(",")]
-            rows = np.loadtxt(file, delimiter=",", ndmin=2)
-    except (OSError, UnicodeDecodeError, ValueError) as error:
-        raise LogError(place, f"cannot be read as a reference motion: {error}", "CSV with a header line") from None
-    if len(head) < 2 or head[0] != "time_s" or rows.shape[1] != len(head) or not np.isfinite(rows).all():
+    head, rows = _reference_rows(place, read_text(Path(path), LogError, "name a CSV file with the motion"))
+    if len(head) < 2 or head[0] != "time_s" or not np.isfinite(rows).all():
         raise LogError(place, f"columns {', '.join(head)}", "time_s, then <axis>_mm or rod_position_mm, finite numbers")
     if np.any(np.diff(rows[:, 0]) <= 0):
         raise LogError(place, "times do not increase", "time_s in increasing order")
@@ -163,6 +160,26 @@ def read_reference(path: str | Path, run: Run) -> dict[str, np.ndarray]:
         wanted = ", ".join(f"{axis}_mm" for axis in run.axis_names)
         raise LogError(place, f"no column for an axis of the run: {', '.join(head)}", f"{wanted} or rod_position_mm")
     return reference
+
+
+def _reference_rows(place: str, text: str) -> tuple[list[str], np.ndarray]:
+    """Names of the columns and their numbers, float64[row, column]."""
+    try:
+        table = read_table(text)
+    except ValueError as error:
+        raise LogError(place, f"not a table: {error}", "CSV with a header line", "mend the quotes") from None
+    rows = np.empty((len(table.rows), len(table.header)))
+    for index, (line, cells) in enumerate(table.rows):
+        try:
+            rows[index] = [number(cell) for cell, _ in zip(cells, table.header, strict=True)]
+        except ValueError:
+            raise LogError(
+                f"{place}: row {line}", f"{shown(cells)} is not {len(table.header)} numbers",
+                f"a number for each of {', '.join(table.header)}", "correct the row",
+            ) from None  # fmt: skip
+    if not len(rows):
+        raise LogError(place, "cannot be read as a reference motion: it has no rows", "CSV with a header line")
+    return table.header, rows
 
 
 def as_dict(report: Report) -> dict:

@@ -7,6 +7,7 @@ import numpy as np
 
 from hilrunner.base.errors import DbcError
 from hilrunner.realtime.e2e import COUNTER_MODULUS, crc_p02
+from hilrunner.setup.database import load_database
 
 _CRC_NAMES = ("crc8", "crc")
 _COUNTER_NAMES = ("alive_counter", "counter")
@@ -20,10 +21,7 @@ class Messages:
     """
 
     def __init__(self, dbc_path: str | Path) -> None:
-        try:
-            self.database = cantools.database.load_file(dbc_path, strict=False)
-        except (OSError, cantools.Error, UnicodeDecodeError) as error:
-            raise DbcError(str(dbc_path), f"cannot be read: {error}", remedy="name a DBC file") from None
+        self.database = load_database(dbc_path)
         self._by_id = {(one.frame_id, one.is_extended_frame): one for one in self.database.messages}
         self._counters: dict[str, int] = {}
 

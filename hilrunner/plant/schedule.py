@@ -1,15 +1,9 @@
-"""Valve commands over time as data: ramps, tables, chirps and pseudo-random steps, by name or from a file."""
+"""Valve commands over time as data: ramps, tables, chirps and pseudo-random steps; files with them are read in setup."""
 
-import csv
 import math
-import tomllib
-from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
-
-from hilrunner.base.errors import ProfileError
 
 
 @dataclass(frozen=True)
@@ -126,99 +120,3 @@ SCHEDULES: dict[str, Schedule] = {
 def sample(schedule: Schedule, times_s: np.ndarray) -> np.ndarray:
     """(n,) float64 commands at (n,) times, clipped to -1..1."""
     return np.clip(schedule.values(np.asarray(times_s, dtype=np.float64)), -1.0, 1.0)
-
-
-def load_schedule(name_or_path: str) -> Schedule:
-    """A schedule by name, or from a .csv or .toml file.
-
-    Raises:
-        ProfileError: neither a name nor a readable file, or a file that is not a schedule.
-    """
-    if name_or_path in SCHEDULES:
-        return SCHEDULES[name_or_path]
-    path = Path(name_or_path)
-    if not path.is_file():
-        raise ProfileError(
-            f"schedule '{name_or_path}'", "neither a known name nor a file", ", ".join(SCHEDULES), "name one of these"
-        )
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ProfileError(str(path), f"cannot be read: {error}") from error
-    if path.suffix == ".toml":
-        return _from_toml(text, str(path))
-    return _from_csv(text, str(path))
-
-
-def _from_csv(text: str, place: str) -> Table:
-    """Columns time_s, valve_command; a value holds until the next row."""
-    rows = [row for row in csv.reader(text.splitlines()) if row and not row[0].lstrip().startswith("#")]
-    if not rows or [name.strip() for name in rows[0]] != ["time_s", "valve_command"]:
-        raise ProfileError(place, "the first row is not a header", "time_s,valve_command")
-    times, commands = [], []
-    for number, row in enumerate(rows[1:], start=2):
-        try:
-            time_s, command = (float(cell) for cell in row)
-        except ValueError as error:
-            raise ProfileError(
-                f"{place}: row {number}", f"{','.join(row)!r} is not two numbers", "time_s,valve_command"
-            ) from error
-        times.append(time_s)
-        commands.append(command)
-    return _checked(Table(times[-1] if times else 0.0, tuple(times), tuple(commands)), place)
-
-
-_KINDS: dict[str, Callable[..., Schedule]] = {
-    "ramps": Ramps,
-    "table": Table,
-    "chirp": Chirp,
-    "random-steps": RandomSteps,
-}
-
-
-def _from_toml(text: str, place: str) -> Schedule:
-    """A table `kind = ...` with that kind's fields."""
-    try:
-        fields = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ProfileError(place, f"not TOML: {error}") from error
-    kind = fields.pop("kind", None)
-    if kind not in _KINDS:
-        raise ProfileError(f"{place}: kind", f"{kind!r}", ", ".join(_KINDS))
-    for key in ("ramps", "times_s", "commands"):
-        if isinstance(fields.get(key), list):
-            fields[key] = tuple(tuple(item) if isinstance(item, list) else item for item in fields[key])
-    try:
-        schedule = _KINDS[kind](**fields)
-    except TypeError as error:
-        names = ", ".join(_KINDS[kind].__dataclass_fields__)
-        raise ProfileError(f"{place}: {kind}", str(error).split(") ")[-1], names) from error
-    return _checked(schedule, place)
-
-
-def _checked(schedule: Schedule, place: str) -> Schedule:
-    """Refuse what cannot be sampled."""
-    if not isinstance(schedule.duration_s, (int, float)) or not 0.0 < schedule.duration_s <= 1e7:
-        raise ProfileError(f"{place}: duration_s", f"{schedule.duration_s!r}", "above 0 to 1e7 s")
-    try:
-        if isinstance(schedule, Table):
-            _check_table(schedule, place)
-        if isinstance(schedule, Chirp) and not (schedule.start_hz > 0.0 and schedule.end_hz > 0.0):
-            raise ProfileError(f"{place}: start_hz, end_hz", f"{schedule.start_hz}, {schedule.end_hz}", "above 0 Hz")
-        if isinstance(schedule, RandomSteps) and not schedule.dwell_s > 0.0:
-            raise ProfileError(f"{place}: dwell_s", f"{schedule.dwell_s}", "above 0 s")
-        values = schedule.values(np.linspace(0.0, schedule.duration_s, 1001))
-    except (TypeError, ValueError) as error:
-        raise ProfileError(place, f"a field has the wrong form: {error}") from error
-    if not np.isfinite(values).all() or np.abs(values).max() > 1.0 + 1e-9:
-        raise ProfileError(place, f"commands reach {np.abs(values).max():g}", "-1 to 1")
-    return schedule
-
-
-def _check_table(table: Table, place: str) -> None:
-    if len(table.times_s) < 2 or len(table.times_s) != len(table.commands):
-        raise ProfileError(
-            place, f"{len(table.times_s)} times, {len(table.commands)} commands", "equally many, 2 or more"
-        )
-    if np.any(np.diff(table.times_s) <= 0.0):
-        raise ProfileError(place, "the times do not increase", "strictly increasing times")

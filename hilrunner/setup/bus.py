@@ -6,20 +6,18 @@ AF_UNIX datagram socketpair whose other end goes into the loop. The loop has no 
 
 import os
 import socket
-import struct
 import threading
 from pathlib import Path
 from typing import Any
 
 from hilrunner.base.errors import CanError, UsageError
+from hilrunner.setup.can_frame import pack_frame, unpack_frame
 
 _SO_RCVBUFFORCE = 33
 _SO_RXQ_OVFL = 40
 _SO_TIMESTAMPNS = 35
 _RECEIVE_BUFFER_BYTES = 4 << 20
 _IFF_UP = 1
-_EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
-_FDF, _BRS, _ESI = 0x04, 0x01, 0x02
 
 
 class OpenBus:
@@ -174,35 +172,6 @@ class Pump:
             self.lost = f"{type(error).__name__}: {error}"
             # a closed peer is how a socketpair says that the bus is gone: the loop's next send gives ECONNREFUSED
             self.bus_end.close()
-
-
-def pack_frame(message: Any) -> bytes:
-    """`struct can_frame` or `struct canfd_frame` of a python-can message."""
-    can_id = message.arbitration_id
-    can_id |= _EFF if message.is_extended_id else 0
-    can_id |= _RTR if message.is_remote_frame else 0
-    can_id |= _ERR if message.is_error_frame else 0
-    data = bytes(message.data)
-    if message.is_fd:
-        flags = _FDF | (_BRS if message.bitrate_switch else 0) | (_ESI if message.error_state_indicator else 0)
-        return struct.pack("<IBBxx64s", can_id, len(data), flags, data)
-    return struct.pack("<IBxxx8s", can_id, message.dlc, data)
-
-
-def unpack_frame(packet: bytes) -> Any:
-    """The python-can message of a `struct can_frame` or `struct canfd_frame`."""
-    import can
-
-    can_id, length, flags = struct.unpack_from("<IBB", packet)
-    extended = bool(can_id & _EFF)
-    return can.Message(
-        arbitration_id=can_id & (0x1FFFFFFF if extended else 0x7FF),
-        is_extended_id=extended,
-        is_fd=len(packet) == 72,
-        bitrate_switch=len(packet) == 72 and bool(flags & _BRS),
-        data=packet[8 : 8 + length],
-        check=False,
-    )
 
 
 def errno_text(number: int) -> str:

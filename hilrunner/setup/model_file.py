@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hilrunner.base.errors import ModelError
+from hilrunner.setup.text import decoded
 
 FILE_SIZE_MAX_BYTES = 64 * 1024 * 1024  # the largest network a period could evaluate is far smaller
 SHEET_SIZE_MAX_BYTES = 8 * 1024 * 1024
@@ -45,7 +46,7 @@ class ModelFile:
         if not self.sheet_data:
             return {}
         try:
-            sheet = json.loads(self.sheet_data.decode("utf-8"))
+            sheet = json.loads(decoded(self.sheet_data))
         except (ValueError, RecursionError) as error:
             raise ModelError(place, f"cannot be read: {error}", "JSON", "correct the file or remove it") from error
         if not isinstance(sheet, dict):

@@ -7,7 +7,6 @@ value outside them is a slip of the pen. The sentence beside a key is what docs/
 """
 
 import difflib
-import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,6 +20,7 @@ from hilrunner.setup import resources
 from hilrunner.setup.mapping import AxisMapping
 from hilrunner.setup.profile_check import check_numbers, check_relations
 from hilrunner.setup.profile_errors import explain
+from hilrunner.setup.text import read_text
 
 TEXT_SIZE_MAX_BYTES = 4 * 1024 * 1024  # a profile is written by hand
 _HOUR_MS, _LONGEST_S, _LONGEST_MM, _COUNT_MAX, _SEED_MAX = 3_600_000.0, 1e7, 100_000.0, 10**12, 2**63 - 1
@@ -277,6 +277,10 @@ class Stimulus(Struct, forbid_unknown_fields=True, frozen=True):
     schedule: Annotated[FileName, Meta(description="name of a schedule, or a file (relative to the profile)")] = (
         "lift-hold-lower-hold"
     )
+    channel: Annotated[
+        FileName | None,
+        Meta(description="of a CAN log: the channel with the commands; absent: the only one that has them"),
+    ] = None
 
 
 class Profile(Struct, forbid_unknown_fields=True, frozen=True):
@@ -342,15 +346,7 @@ def load_profile(name_or_path: str) -> LoadedProfile:
         ProfileError: not found, not TOML, unknown key, wrong type, out of range, or an impossible relation.
     """
     path = _find(name_or_path)
-    try:
-        size = os.stat(path).st_size
-        if size > TEXT_SIZE_MAX_BYTES:
-            raise ProfileError(
-                str(path), f"{size / 2**20:.0f} MiB", f"at most {TEXT_SIZE_MAX_BYTES >> 20} MiB", "name a profile"
-            )
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ProfileError(str(path), f"cannot be read: {error}", remedy="name a readable UTF-8 TOML file") from error
+    text = read_text(path, ProfileError, "name a TOML file, or a profile of `hilrunner profiles`", TEXT_SIZE_MAX_BYTES)
     return LoadedProfile(profile=parse_profile(text, str(path)), path=path, text=text)
 
 
@@ -387,21 +383,16 @@ def checked(loaded: LoadedProfile) -> LoadedProfile:
 
 
 def _find(name_or_path: str) -> Path:
+    if name_or_path in available_profiles():  # whatever lies in the working folder under that name, a folder of results
+        return resources.profiles_folder() / f"{name_or_path}.toml"
     direct = Path(name_or_path)
     if direct.suffix == ".toml" or direct.exists():
-        if not direct.is_file():
-            raise ProfileError(
-                name_or_path, "no such file", remedy="name a TOML file, or a profile of `hilrunner profiles`"
-            )
         return direct
-    shipped = resources.profiles_folder() / f"{name_or_path}.toml"
-    if not shipped.is_file():
-        near = difflib.get_close_matches(name_or_path, available_profiles(), n=1)
-        hint = f"did you mean '{near[0]}'? " if near else ""
-        raise ProfileError(
-            f"--profile {name_or_path}",
-            "no such profile",
-            limit=", ".join(available_profiles()),
-            remedy=f"{hint}name one of these, a path to a TOML file, or the log of a run",
-        )
-    return shipped
+    near = difflib.get_close_matches(name_or_path, available_profiles(), n=1)
+    hint = f"did you mean '{near[0]}'? " if near else ""
+    raise ProfileError(
+        f"--profile {name_or_path}",
+        "no such profile",
+        limit=", ".join(available_profiles()),
+        remedy=f"{hint}name one of these, a path to a TOML file, or the log of a run",
+    )

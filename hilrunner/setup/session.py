@@ -29,6 +29,7 @@ from hilrunner.setup.contract import sent_signal_names
 from hilrunner.setup.parcel import Parcel, pack
 from hilrunner.setup.profile import LoadedProfile
 from hilrunner.setup.run_manifest import run_files, run_metadata
+from hilrunner.setup.stimulus_facts import StimulusFacts
 
 _START_DELAY_NS = 20_000_000  # from "everything is ready" to the deadline of tick 0
 _FOREVER = 1 << 62
@@ -51,6 +52,7 @@ class RunOptions:
     log_path: Path | None = None  # None: no log
     log_is_new: bool = False  # log_path is an empty file that was made for this run
     stimulus: np.ndarray | None = None
+    stimulus_facts: StimulusFacts | None = None  # how it was understood
     live_port: int | None = None
     require_realtime: bool = False
     realtime: host.RealtimeOptions = field(default_factory=host.RealtimeOptions)
@@ -71,6 +73,7 @@ class RunResult:
     bus_error: str = ""
     has_stimulus: bool = False  # commands came from a stimulus, not from a firmware
     log_path: Path | None = None
+    stimulus_facts: StimulusFacts | None = None
 
 
 class Session:
@@ -232,6 +235,7 @@ class Session:
             bus_error=bus_error,
             has_stimulus=self.options.stimulus is not None,
             log_path=self.options.log_path,
+            stimulus_facts=self.options.stimulus_facts,
         )
 
     def _bus_error(self) -> str:
@@ -268,7 +272,7 @@ class Session:
             period_ns=period_ns(self.loaded),
             parent_pid=os.getpid(),
             log_path=str(self.options.log_path) if self.options.log_path else None,
-            metadata=run_metadata(self.loaded, files, self.options.engine, self.grants, self.host_report),
+            metadata=self._metadata(files),
             attachments=[
                 Attachment(one.name, one.media_type, fd=launch.keep_in_memory(one.name, one.data)) for one in files
             ],
@@ -277,6 +281,13 @@ class Session:
             check=self._check_config(),
             module=_TALLY_MODULE if self.options.log_path is None and self._is_recorded() else "hilrunner.record",
         )
+
+    def _metadata(self, files: list) -> dict:
+        tables = run_metadata(self.loaded, files, self.options.engine, self.grants, self.host_report)
+        if self.options.stimulus_facts is not None:
+            facts = self.options.stimulus_facts
+            tables["run"] |= {"stimulus": facts.text(), "stimulus_warnings": "; ".join(facts.warnings)}
+        return tables
 
     def _check_config(self) -> CheckConfig | None:
         rules = self.loaded.profile.crosscheck

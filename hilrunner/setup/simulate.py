@@ -12,7 +12,6 @@ from hilrunner.realtime.socketcan import FRAME_SIZE_FD
 from hilrunner.setup.arm import Armed, arm_offline
 from hilrunner.setup.axes import period_ns
 from hilrunner.setup.profile import LoadedProfile
-from hilrunner.setup.stimulus import load_stimulus
 
 _CHUNK_TICKS_MAX = 1000
 _CHUNK_S = 0.1  # wall time between two looks at the keyboard: compiled code hears no Ctrl-C
@@ -32,16 +31,14 @@ class Simulated:
 def simulate(
     loaded: LoadedProfile,
     engine: int,
-    schedule: str | np.ndarray,
-    duration_s: float | None = None,
+    stimulus: np.ndarray,
     progress: Callable[[float], None] | None = None,
 ) -> Simulated:
-    """Run a schedule (name, file, or CAN log; or the commands themselves, float64[tick, axis]) on every axis; deterministic.
+    """Run valve commands, float64[tick, axis] of -1..1, on the axes of a profile; deterministic.
 
     Args:
-        engine: status.ENGINE_*. duration_s: None: as long as the schedule. progress: told the share done, 0..1.
+        engine: status.ENGINE_*. progress: told the share done, 0..1.
     """
-    stimulus = schedule if isinstance(schedule, np.ndarray) else load_stimulus(schedule, loaded, duration_s)
     armed = arm_offline(loaded, engine, stimulus)
     count, axis_count = stimulus.shape
     tick = records.allocate(records.TICK, count)

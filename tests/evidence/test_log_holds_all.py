@@ -131,7 +131,7 @@ def test_dbc_and_schedule_beside_the_profile_come_along(tmp_path, capsys):
     assert identical(log)
     loaded = again.load_again(str(log))
     assert signal_tables(loaded)[0].can_id.size == 1
-    assert profile_stimulus(loaded).max() == 0.5
+    assert profile_stimulus(loaded).commands.max() == 0.5
 
 
 def options(**given):
@@ -213,10 +213,10 @@ def test_commands_of_a_log_meet_valve_faults_once_and_another_period(tmp_path):
     log = tmp_path / "run.mcap"
     arrays = bench_run.make_run(log, bench_run.Plan(tick_count=200), text)
     loaded = again.load_again(str(log))
-    commands = again.stimulus_named(str(log), loaded)
+    commands = again.stimulus_named(str(log), loaded).commands
     np.testing.assert_allclose(0.5 * commands[:, 0], arrays["command"]["valve_command"], rtol=0, atol=0)
     slower = loaded.changed(bench=msgspec.structs.replace(loaded.profile.bench, period_us=2000))
-    np.testing.assert_array_equal(again.stimulus_named(str(log), slower), commands[::2])
+    np.testing.assert_array_equal(again.stimulus_named(str(log), slower).commands, commands[::2])
     with pytest.raises(UsageError, match="has the axes"):
         again.stimulus_named(str(log), load_profile("paper"))
 

@@ -1,4 +1,4 @@
-"""Valve schedules and sea states: values, reproducibility, files, refusals."""
+"""Valve schedules and sea states: values, reproducibility, refusals."""
 
 import numpy as np
 import pytest
@@ -46,47 +46,6 @@ def test_random_steps_hold_for_their_dwell_and_follow_their_seed():
     assert np.all(u.reshape(-1, 25) == u.reshape(-1, 25)[:, :1])
     other = schedule.RandomSteps(20.0, 0.25, -0.5, 0.6, seed=5)
     assert not np.array_equal(u, schedule.sample(other, np.arange(0, 20, 1e-2)))
-
-
-def test_schedules_from_files(tmp_path):
-    table = tmp_path / "a.csv"
-    table.write_text("# by hand\ntime_s,valve_command\n0,0\n1,0.5\n2,-0.25\n3,0\n")
-    data = schedule.load_schedule(str(table))
-    assert data.duration_s == 3.0
-    assert schedule.sample(data, np.array([0.5, 1.0, 1.9, 2.0, 9.0])).tolist() == [0.0, 0.5, 0.5, -0.25, 0.0]
-    ramps = tmp_path / "b.toml"
-    ramps.write_text('kind = "ramps"\nduration_s = 2.0\nramps = [[0.5, 0.1, 0.4]]\n')
-    assert schedule.sample(schedule.load_schedule(str(ramps)), np.array([1.0]))[0] == pytest.approx(0.4)
-
-
-@pytest.mark.parametrize(
-    ("name", "text", "named"),
-    [
-        ("a.csv", "t,u\n0,0\n", "not a header"),
-        ("a.csv", "time_s,valve_command\n0,0\n1,x\n", "row 3"),
-        ("a.csv", "time_s,valve_command\n0,0\n0,1\n1,1\n", "do not increase"),
-        ("a.csv", "time_s,valve_command\n", "duration_s"),
-        ("a.csv", "time_s,valve_command\n0,0\n1,1.5\n", "commands reach 1.5"),
-        ("a.csv", "time_s,valve_command\n0,0\n1,nan\n", "commands reach nan"),
-        ("a.toml", 'kind = "ramp"\n', "ramps, table, chirp, random-steps"),
-        ("a.toml", 'kind = "chirp"\nduration_s = 1.0\n', "start_hz"),
-        ("a.toml", 'kind = "ramps"\nduration_s = 1.0\nramps = [[1, 2]]\n', "wrong form"),
-        ("a.toml", 'kind = "ramps"\nduration_s = -1.0\nramps = []\n', "above 0"),
-        ("a.toml", 'kind = "chirp"\nduration_s=1.0\nstart_hz=0\nend_hz=1\namplitude=1\n', "above 0 Hz"),
-        ("a.toml", "kind = \n", "not TOML"),
-    ],
-)
-def test_bad_files_are_refused_with_their_place(tmp_path, name, text, named):
-    path = tmp_path / name
-    path.write_text(text)
-    with pytest.raises(ProfileError, match=named) as refused:
-        schedule.load_schedule(str(path))
-    assert str(path) in str(refused.value)
-
-
-def test_unknown_schedule_names_the_known_ones():
-    with pytest.raises(ProfileError, match="lift-profile"):
-        schedule.load_schedule("lift-profil")
 
 
 @pytest.mark.parametrize(("height", "period", "std", "speed"), [(0.5, 6, 0.053, 0.204), (2.0, 8, 0.306, 0.858)])

@@ -90,7 +90,7 @@ def test_a_profile_that_is_not_there(tmp_path):
     with pytest.raises(ProfileError, match="no such file"):
         load_profile(str(tmp_path / "none.toml"))
     bad = tmp_path / "latin.toml"
-    bad.write_bytes(b'name = "\xff"')
+    bad.write_bytes(b'name = "\x81"')  # neither UTF-8 nor cp1252
     with pytest.raises(ProfileError, match="cannot be read"):
         load_profile(str(bad))
 

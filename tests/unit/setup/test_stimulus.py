@@ -1,11 +1,16 @@
 """A CAN log in place of the bus: the newest valid command of each tick is held; a log that cannot serve is refused in one sentence."""
 
+import base64
+import gzip
+
 import numpy as np
 import pytest
 
+from hilrunner.base import status
 from hilrunner.base.errors import UsageError
-from hilrunner.setup.profile import load_profile
-from hilrunner.setup.stimulus import load_stimulus
+from hilrunner.realtime import command, decode
+from hilrunner.setup.profile import CommandRules, load_profile
+from hilrunner.setup.stimulus import aged_commands, load_stimulus, read_stimulus
 
 FULL_OUT = "C522004078563412"  # golden: Active, 100 %, counter 2
 FULL_IN = "6F2F00C0FFFFFFFF"  # golden: Active, -100 %, counter 15
@@ -75,3 +80,112 @@ def test_a_missing_log_is_said_to_be_missing(loaded):
 def test_a_schedule_too_long_for_memory_is_refused(loaded):
     with pytest.raises(UsageError, match="at most 100000000 periods"):
         load_stimulus("hold", loaded, 1e7)
+
+
+def full(counter_frame: str = FULL_OUT) -> str:
+    return f"201#{counter_frame}"
+
+
+def test_frame_k_of_a_millisecond_grid_is_the_command_of_tick_k(tmp_path, loaded):
+    """Differences of Unix times in float64, cut instead of rounded, gave half of the ticks the next frame's command."""
+    rows = [(f"1764300000.{k:03d}000", "123#00") for k in range(50)]
+    rows[20] = ("1764300000.020000", f"201#{FULL_IN}")
+    commands = load_stimulus(write_log(tmp_path, *rows), loaded)[:, 0]
+    assert len(commands) == 50 and np.flatnonzero(commands)[0] == 20
+
+
+def test_commands_age_in_a_gap_exactly_as_on_a_bus():
+    """Every value is that of `realtime.command`, run tick by tick; Reset alone ends the latched fail-safe."""
+    rng = np.random.default_rng(5)
+    active, hold, reset = status.CONTROL_ACTIVE, status.CONTROL_HOLD, status.CONTROL_RESET
+    for rules in (CommandRules(), CommandRules(5.0, 0.0, 0.0), CommandRules(3.0, 4.0, 20.5)):
+        ticks = np.cumsum(rng.choice([0, 1, 3, 40, 70, 130, 400], 60)).tolist()
+        controls = rng.choice([active, active, active, hold, reset], 60).tolist()
+        setpoints = rng.uniform(-1, 1, 60).tolist()
+        count = ticks[-1] + 300
+        row = command.make_command_state(
+            *(round(one * 1e6) for one in (rules.stale_after_ms, rules.hold_for_ms, rules.ramp_for_ms))
+        )
+        fresh, expected = decode.fresh_commands(1), []
+        for tick in range(count):
+            for index in [k for k, one in enumerate(ticks) if one == tick]:
+                fresh[0]["valve_command"], fresh[0]["control"] = setpoints[index], controls[index]
+                command.accept(row, 0, fresh, tick)
+            expected.append(command.apply_age(row, 0, tick, 1_000_000))
+        aged, longest, told = aged_commands(ticks, setpoints, controls, count, rules, 1_000_000)
+        np.testing.assert_array_equal(aged, expected)
+        assert longest == 400 and "stale_after_ms" in told
+
+
+def test_a_firmware_that_falls_silent_in_a_recording_leaves_no_valve_open(tmp_path, loaded):
+    log = write_log(tmp_path, ("5.000", full()), ("6.000", "123#00"))
+    stimulus = read_stimulus(log, loaded)
+    commands = stimulus.commands[:, 0]
+    assert commands[0] == 1.0 and 0.0 < commands[150] < 1.0 and not commands[201:].any()
+    (told,) = stimulus.facts.warnings
+    assert "aged as on a bus" in told and "latched at 0.201 s, and no Reset follows" in told
+
+
+def test_one_line_tells_what_was_understood(tmp_path, loaded):
+    log = write_log(
+        tmp_path, ("5.000", full(FULL_IN)), ("5.0034", f"201#{HOLD}"), ("5.004", "201#00"), ("5.0054", "123#00")
+    )
+    facts = read_stimulus(log, loaded).facts
+    text = facts.text()
+    for word in (
+        log,
+        "candump",
+        "0.005 s",
+        "4 frames",
+        "2 valid commands on channel can0",
+        "1 wrong length",
+        "longest gap 0.003 s",
+        "6 periods",
+    ):
+        assert word in text, text
+    assert facts.as_dict()["valid_count"] == {"luffing": 2} and facts.warnings == ()
+    schedule = read_stimulus("steps", loaded, 2.0).facts
+    assert "schedule" in schedule.text() and "2000 periods" in schedule.text()
+    assert schedule.as_dict()["longest_gap_s"] is None
+
+
+def two_channels(folder) -> str:
+    path = folder / "two.log"
+    path.write_text(f"(5.000) can0 201#{FULL_OUT}\n(5.001) can1 201#{FULL_IN}\n(5.002) can2 123#00\n")
+    return str(path)
+
+
+def test_commands_on_two_channels_are_never_mixed(tmp_path, loaded):
+    log = two_channels(tmp_path)
+    with pytest.raises(UsageError, match=r"2 channels \(1 on can0, 1 on can1\).*--stimulus-channel can0"):
+        read_stimulus(log, loaded)
+    assert read_stimulus(log, loaded, channel="can0").commands[0, 0] == 1.0
+    assert read_stimulus(log, loaded, channel="can1").commands[0, 0] == -1.0
+    with pytest.raises(UsageError, match="no frame of it.*can0, can1, can2"):
+        read_stimulus(log, loaded, channel="can3")
+
+
+def test_other_traffic_on_other_channels_does_not_matter(tmp_path, loaded):
+    log = write_log(tmp_path, ("5.000", full()))
+    with open(log, "a") as file:
+        file.write("(5.002) can1 123#00\n")
+    facts = read_stimulus(log, loaded).facts
+    assert facts.used_channels == ("can0",) and "on channel can0 (of can0, can1)" in facts.text()
+
+
+def test_a_cut_log_is_read_and_told(tmp_path, loaded):
+    path = tmp_path / "cut.log"
+    path.write_text(f"(5.000) can0 201#{FULL_IN}\n(5.004) can0 123#00\n(5.0")
+    stimulus = read_stimulus(str(path), loaded)
+    assert len(stimulus.commands) == 5
+    assert "its last line is cut: '(5.0'; what is whole was read" in stimulus.facts.warnings[0]
+
+
+def test_a_table_of_frames_is_no_schedule_and_a_schedule_may_be_packed(tmp_path, loaded):
+    table = tmp_path / "frames.csv"
+    data = base64.b64encode(bytes.fromhex(FULL_OUT)).decode()
+    table.write_text(f"timestamp,arbitration_id,extended,remote,error,dlc,data\n5.0,0x201,0,0,0,8,{data}\n")
+    assert read_stimulus(str(table), loaded).commands.tolist() == [[1.0]]
+    packed = tmp_path / "schedule.csv.gz"
+    packed.write_bytes(gzip.compress(b"time_s;valve_command\r\n0;0,25\r\n0,002;0\r\n"))
+    assert read_stimulus(str(packed), loaded).commands[:, 0].tolist() == [0.25, 0.25]
