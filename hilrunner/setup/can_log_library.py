@@ -2,6 +2,7 @@
 exact stamps, the number of a bad line, lines that were dropped, and a last line that was cut.
 """
 
+import importlib.util
 import io
 import re
 from collections.abc import Iterator
@@ -124,14 +125,13 @@ def read_mf4(data: bytes) -> CanLog:
     """ASAM MDF 4 with bus logging; needs the package asammdf."""
     import can
 
-    try:
-        reader = can.MF4Reader(io.BytesIO(data))
-    except NotImplementedError:
+    if importlib.util.find_spec("asammdf") is None:
         raise DamagedLogError(
             "",
             "MDF 4 needs the package asammdf, which is not installed",
             remedy="pip install asammdf, or export the log as .asc or .blf",
-        ) from None
+        )
+    reader = can.MF4Reader(io.BytesIO(data))
     log = CanLog("ASAM MDF 4")
     for message in reader:
         log.append(
