@@ -5,6 +5,7 @@ it), graph to layers, numbers finite, plant parameters, and last a comparison of
 random points: golden vectors inside a file whose data sheet vouches for its hash, else onnxruntime itself.
 """
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +15,9 @@ from hilrunner.base.errors import ModelError
 from hilrunner.plant.foreign_call import layout
 from hilrunner.plant.head import KERNEL_NAMES
 from hilrunner.plant.network import RECIPE_NAMES, ROLES, Mlp, SurrogateNetworks, assemble_bank, forward_many
-from hilrunner.setup import model_file, model_text
+from hilrunner.setup import model_file, model_rows, model_text
 from hilrunner.setup.model_graph import Chain, Graph
-from hilrunner.setup.model_onnxruntime import bind, reasons
+from hilrunner.setup.model_onnxruntime import Part, bind, part_of, reasons
 
 COMPARED_POINTS = 256
 DOUBLE_TOLERANCE_RATIO = 1e-10  # of the outputs' range over the compared points: rounding, nothing else
@@ -77,7 +78,7 @@ def load_model(
     networks, lines = _networks(place, model, text, in_loop)
     keep_alive = None
     if in_loop:
-        networks, keep_alive = bind(place, data, networks, text)
+        networks, keep_alive = bind(place, data, networks, text, trusted=vouched)
     worst, how = _compare(place, data, networks, text, vouched and bool(text.golden) and not in_loop, keep_alive)
     lines.append(f"  compiled against {how}: largest difference {worst:.1e} of the outputs' range")
     surrogate = SurrogateNetworks(
@@ -97,6 +98,8 @@ def _check_parameters(place: str, text: model_text.ModelText, parameters: np.nda
         row = SPEC_BY_KEY.get(key)
         if row is None:
             raise ModelError(place, f"was trained for '{key}', which no plant has", remedy="train it again")
+        if isinstance(trained, bool) or not isinstance(trained, int | float) or not math.isfinite(trained):
+            raise ModelError(place, f"says in {model_text.KEY_PARAMETERS} that {key} is {trained!r}", "a finite number")
         actual = float(parameters[row.field][0]) / row.factor
         if abs(actual - trained) > PARAMETER_TOLERANCE_RATIO * max(abs(actual), abs(trained)):
             raise ModelError(
@@ -218,16 +221,14 @@ def _compare(
 ) -> tuple[float, str]:
     """Largest difference between what the axis will evaluate and onnxruntime, over the outputs' range; how it was found."""
     bank = assemble_bank([SurrogateNetworks(1, networks, text.circuit)])
-    session = None if golden else _session(place, data)
     worst = 0.0
     for network in text.networks:
         mlp = networks[network.role]
         if golden:
-            inputs = np.array(text.golden[network.role]["inputs"])
-            expected = np.array(text.golden[network.role]["outputs"])
+            inputs, expected = _golden(place, network, text)
             tolerance = DOUBLE_TOLERANCE_RATIO
         else:
-            inputs, expected, tolerance = _ask(place, session, network, text)
+            inputs, expected, tolerance = _ask(place, part_of(place, data, network), network, text)
         outputs = np.zeros((len(inputs), mlp.output_count))
         start = bank.axis_start[0, ROLES[network.role]]
         failures = forward_many(bank.words, start, inputs, outputs)
@@ -238,7 +239,8 @@ def _compare(
                 remedy="a model that answers one point at a time, or --engine surrogate",
             )
         span = np.maximum(np.ptp(expected, axis=0), 1e-300)
-        difference = float(np.max(np.abs(outputs - expected) / span))
+        with np.errstate(invalid="ignore", over="ignore"):
+            difference = float(np.max(np.abs(outputs - expected) / span))
         if failures or not difference <= tolerance:
             raise ModelError(
                 f"{place}: network '{network.role}'",
@@ -264,33 +266,51 @@ def _session(place: str, data: bytes):
     try:
         return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's error classes have no common base but Exception
-        raise ModelError(
-            place, f"onnxruntime refuses it: {str(error).splitlines()[0]}", remedy="export it again"
-        ) from error
+        words = str(error).splitlines()[0]
+        remedy = "export it in float32: some nodes have no other" if "NOT_IMPLEMENTED" in words else "export it again"
+        raise ModelError(place, f"onnxruntime refuses it: {words}", remedy=remedy) from error
 
 
-def _ask(place: str, session, network: model_text.NetworkText, text) -> tuple[np.ndarray, np.ndarray, float]:
+def _ask(place: str, part: Part, network: model_text.NetworkText, text) -> tuple[np.ndarray, np.ndarray, float]:
     """Random points of the training range in the reduced model's order and SI, and onnxruntime's answers to them."""
     inputs, outputs = _order(network, text)
-    low = np.array([quantity["low"] for quantity in network.inputs])
-    high = np.array([quantity["high"] for quantity in network.inputs])
+    low = np.array([quantity["low"] for quantity in network.inputs], float)
+    high = np.array([quantity["high"] for quantity in network.inputs], float)
     raw = np.random.default_rng(0).uniform(low, high, (COMPARED_POINTS, len(low)))
-    feeds = {}
-    single = False
-    for value in session.get_inputs():
-        single |= value.type == "tensor(float)"
-        kind = np.float32 if value.type == "tensor(float)" else np.float64
-        mine = value.name == (network.input or session.get_inputs()[0].name)
-        feeds[value.name] = raw.astype(kind) if mine else np.zeros((COMPARED_POINTS, value.shape[-1]), kind)
-    output = network.output or session.get_outputs()[0].name
+    single = part.rows.kind == np.float32
     if single:
         raw = raw.astype(np.float32).astype(np.float64)
+    where = f"{place}: network '{network.role}'"
+    session = _session(place, part.data)
     try:
-        (answer,) = session.run([output], feeds)
+        answer = model_rows.ask(session, part.rows, part.output, raw)
     except Exception as error:  # as in `_session`
-        problem = f"onnxruntime cannot run it: {str(error).strip().splitlines()[0]}"
-        raise ModelError(f"{place}: network '{network.role}'", problem, remedy="export it again") from error
-    answer = np.asarray(answer, float).reshape(COMPARED_POINTS, -1)
+        problem = f"onnxruntime cannot run it: {(str(error).strip() or type(error).__name__).splitlines()[0]}"
+        raise ModelError(where, problem, remedy="export it again, with one row as its example") from error
+    if answer.shape[1] != len(network.outputs):
+        raise ModelError(
+            where, f"answers {answer.shape[1]} numbers, its metadata names {len(network.outputs)}", "the same number"
+        )
     in_si = raw * _factors(network.inputs)
     out_si = answer * _factors(network.outputs)
     return in_si[:, inputs], out_si[:, outputs], SINGLE_TOLERANCE_RATIO if single else DOUBLE_TOLERANCE_RATIO
+
+
+def _golden(place: str, network: model_text.NetworkText, text) -> tuple[np.ndarray, np.ndarray]:
+    """The golden vectors of a network, in the reduced model's order and SI."""
+    try:
+        vectors = text.golden[network.role]
+        inputs, outputs = np.array(vectors["inputs"], float), np.array(vectors["outputs"], float)
+        shapes = (len(network.inputs), len(network.outputs))
+        if (
+            inputs.ndim == outputs.ndim == 2
+            and (inputs.shape[1], outputs.shape[1]) == shapes
+            and len(inputs) == len(outputs) > 0
+        ):
+            return inputs, outputs
+    except (KeyError, TypeError, ValueError):
+        pass
+    raise ModelError(
+        f"{place}: network '{network.role}'", f"{model_text.KEY_GOLDEN} holds no points with answers of its width",
+        "inputs and outputs, a row a point", "export it again",
+    )  # fmt: skip

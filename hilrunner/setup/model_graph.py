@@ -4,6 +4,7 @@ A network is a chain of nodes from one graph input to one graph output. Elementw
 its input scaling, those after the last its output scaling; every other linear node is folded into a layer.
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -23,6 +24,7 @@ from hilrunner.plant.generic_kernel import (
     MAX_WIDTH,
 )
 from hilrunner.plant.head import MAX_QUANTITIES
+from hilrunner.setup.model_constants import constants_of, numbers
 
 _ACTIVATIONS = {
     "Tanh": ACTIVATION_TANH,
@@ -33,10 +35,11 @@ _ACTIVATIONS = {
     "Gelu": ACTIVATION_GELU,
     "Swish": ACTIVATION_SILU,
 }
-_PASSED = {"Identity", "Dropout", "Cast", "Flatten", "Reshape", "Squeeze"}  # change no number of one row
+# change no number of one row
+_PASSED = {"Identity", "Dropout", "Cast", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Transpose"}
 
 
-_KNOWN = {*_ACTIVATIONS, *_PASSED, "MatMul", "Gemm", "Add", "Sub", "Mul", "Div", "Scaler"}
+_KNOWN = {*_ACTIVATIONS, *_PASSED, "MatMul", "Gemm", "Add", "Sub", "Mul", "Div", "Scaler", "Conv", "BatchNormalization"}
 
 
 @dataclass
@@ -46,6 +49,9 @@ class Chain:
     input: str
     output: str
     input_count: int = 0
+    shape: tuple[int, ...] | None = (
+        None  # of one row where the last node has read it, without the rows; None: not known
+    )
     input_offset: np.ndarray | None = None
     input_scale: np.ndarray | None = None
     weights: list[np.ndarray] = field(default_factory=list)
@@ -65,18 +71,13 @@ class Graph:
     """The nodes of a model by what they make."""
 
     def __init__(self, place: str, model) -> None:
-        from onnx import numpy_helper
-
         self.place = place
         self.nodes = list(model.graph.node)
-        self.constants = {tensor.name: numpy_helper.to_array(tensor) for tensor in model.graph.initializer}
-        for node in self.nodes:
-            if node.op_type == "Constant" and node.attribute and node.attribute[0].name == "value":
-                self.constants[node.output[0]] = numpy_helper.to_array(node.attribute[0].t)
+        self.constants = constants_of(place, model)
         self.maker = {name: index for index, node in enumerate(self.nodes) for name in node.output}
         self.inputs = [value.name for value in model.graph.input if value.name not in self.constants]
         self.outputs = [value.name for value in model.graph.output]
-        self.input_widths = {value.name: _last_dimension(value) for value in model.graph.input}
+        self.row_shapes = {value.name: _row_shape(value) for value in model.graph.input}
 
     def where(self, index: int) -> str:
         """`node 7, LSTM` with the node's name if it has one."""
@@ -92,7 +93,8 @@ class Graph:
         return ModelError(
             f"{self.place}: {where}",
             why,
-            "MatMul, Gemm, Add, Sub, Mul, Div, Scaler and " + ", ".join(_ACTIVATIONS),
+            "MatMul, Gemm, Conv over the whole row, Add, Sub, Mul, Div, BatchNormalization, Scaler and "
+            + ", ".join(_ACTIVATIONS),
             "run it with --engine onnx, or export the network without this node",
         )
 
@@ -133,19 +135,25 @@ class Graph:
     def chain(self, output: str) -> Chain:
         """Read the network that ends in a graph output."""
         source, steps = self.path(output)
-        chain = Chain(source, output, input_count=self.input_widths.get(source) or 0)
+        shape = self.row_shapes.get(source)
+        chain = Chain(source, output, input_count=math.prod(shape or (0,)), shape=shape)
         foreign = [index for index in steps if self.nodes[index].op_type not in _KNOWN]
         if foreign:
             named = "; ".join(self.where(index) for index in foreign[:8])
             raise self.error(named, "no part of a multilayer perceptron that can be ported")
         for index in steps:
-            self._read(chain, index)
+            try:
+                with np.errstate(all="ignore"):  # what is not finite is told of the whole network
+                    self._read(chain, index)
+            except (ValueError, IndexError, TypeError, OverflowError) as error:
+                raise self.refuse(index, "its numbers do not fit the row before it") from error
         return _finished(self.place, chain)
 
     def _read(self, chain: Chain, index: int) -> None:
         node = self.nodes[index]
         kind = node.op_type
         if kind in _PASSED:
+            _pass(self, chain, index)
             return
         if kind in _ACTIVATIONS:
             _check_activation(self, index)
@@ -154,6 +162,10 @@ class Graph:
             self._activate(chain, index, ACTIVATION_SILU)
         elif kind in ("MatMul", "Gemm"):
             _dense(self, chain, index)
+        elif kind == "Conv":
+            _convolution(self, chain, index)
+        elif kind == "BatchNormalization":
+            _batch_normalisation(self, chain, index)
         elif kind in ("Add", "Sub", "Mul", "Div"):
             _elementwise(self, chain, index)
         else:  # Scaler (ai.onnx.ml)
@@ -168,9 +180,44 @@ class Graph:
         chain.activations.append(kind)
 
 
-def _last_dimension(value) -> int | None:
-    dimensions = value.type.tensor_type.shape.dim
-    return dimensions[-1].dim_value or None if len(dimensions) else None
+def _row_shape(value) -> tuple[int, ...] | None:
+    """The shape of one row of a graph input: `[n, 5, 1, 1]` has rows of (5, 1, 1), `[5]` is one row; None: not told."""
+    dimensions = [one.dim_value or 0 for one in value.type.tensor_type.shape.dim]
+    row = dimensions[1:] if len(dimensions) > 1 else dimensions
+    return tuple(row) if row and min(row) > 0 else None
+
+
+def _pass(graph: Graph, chain: Chain, index: int) -> None:
+    """A node that may change the shape of a row and never the order of its numbers."""
+    node, shape = graph.nodes[index], chain.shape
+    if node.op_type == "Transpose":
+        order = next((list(one.ints) for one in node.attribute if one.name == "perm"), None)
+        if shape is None or order is None or sorted(order) != list(range(len(shape) + 1)):
+            raise graph.refuse(index, "turns rows of unknown shape")
+        full = (0, *shape)
+        moved = [axis for axis in order if axis == 0 or full[axis] > 1]
+        if moved != sorted(moved):
+            raise graph.refuse(index, f"turns rows of shape {shape}: their numbers change places")
+        chain.shape = tuple(full[axis] for axis in order if axis)
+    elif node.op_type in ("Flatten", "Reshape", "Squeeze", "Unsqueeze"):
+        chain.shape = None if shape is None else (math.prod(shape),)
+        if node.op_type in ("Reshape", "Unsqueeze") and len(node.input) > 1 and node.input[1] in graph.constants:
+            chain.shape = _reshaped(node.op_type, graph.constants[node.input[1]], shape)
+
+
+def _reshaped(kind: str, wanted: np.ndarray, shape: tuple[int, ...] | None) -> tuple[int, ...] | None:
+    """The shape of one row behind a Reshape or Unsqueeze that keeps the rows first; None: not known."""
+    if shape is None:
+        return None
+    try:
+        row = np.zeros((1, *shape))
+        if kind == "Unsqueeze":
+            return np.expand_dims(row, tuple(int(n) for n in wanted)).shape[1:]
+        sizes = [int(n) for n in wanted]
+        free = [row.shape[i] if n == 0 else n for i, n in enumerate(sizes)]
+        return row.reshape([1, *free[1:]]).shape[1:] if len(free) > 1 else None
+    except (ValueError, IndexError):
+        return None
 
 
 def _check_activation(graph: Graph, index: int) -> None:
@@ -183,11 +230,17 @@ def _check_activation(graph: Graph, index: int) -> None:
         raise graph.refuse(index, "the tanh approximation of Gelu is not ported")
 
 
-def _vector(graph: Graph, index: int, name: str) -> np.ndarray:
-    value = np.asarray(graph.constants[name], float)
-    if value.ndim > 2 or (value.ndim == 2 and value.shape[0] != 1):
-        raise graph.refuse(index, f"constant '{name}' of shape {value.shape} is not one number a column")
-    return value.reshape(-1)
+def _vector(graph: Graph, chain: Chain, index: int, name: str) -> np.ndarray:
+    """A constant that meets the signal number by number, float64[columns] or float64[1]."""
+    value = numbers(graph.constants[name])
+    if value.ndim <= 1 or (value.ndim == 2 and value.shape[0] == 1):
+        return value.reshape(-1)
+    if value.size == 1:
+        return value.reshape(-1)
+    try:  # of more dimensions: as it lies over one row
+        return np.broadcast_to(value, (1, *(chain.shape or ()))).reshape(-1)
+    except ValueError:
+        raise graph.refuse(index, f"constant '{name}' of shape {value.shape} is not one number a column") from None
 
 
 def _elementwise(graph: Graph, chain: Chain, index: int) -> None:
@@ -195,7 +248,7 @@ def _elementwise(graph: Graph, chain: Chain, index: int) -> None:
     places = [place for place, name in enumerate(node.input) if name in graph.constants]
     if len(places) != 1:
         raise graph.refuse(index, "has no constant side")
-    value = _vector(graph, index, node.input[places[0]])
+    value = _vector(graph, chain, index, node.input[places[0]])
     kind, first = node.op_type, places[0] == 0
     if kind == "Add":
         _scale(chain, np.ones(1), value)
@@ -226,7 +279,7 @@ def _dense(graph: Graph, chain: Chain, index: int) -> None:
     weight_name = node.input[1]
     if weight_name not in graph.constants:
         raise graph.refuse(index, "multiplies two signals")
-    weight = np.asarray(graph.constants[weight_name], float)
+    weight = numbers(graph.constants[weight_name])
     bias = None
     if node.op_type == "Gemm":
         values = {attribute.name: attribute for attribute in node.attribute}
@@ -235,11 +288,16 @@ def _dense(graph: Graph, chain: Chain, index: int) -> None:
         weight = weight.T if not ("transB" in values and values["transB"].i) else weight
         weight = weight * (values["alpha"].f if "alpha" in values else 1.0)
         if len(node.input) > 2 and node.input[2]:
-            bias = _vector(graph, index, node.input[2]) * (values["beta"].f if "beta" in values else 1.0)
+            bias = _vector(graph, chain, index, node.input[2]) * (values["beta"].f if "beta" in values else 1.0)
     else:
         weight = weight.T
     if weight.ndim != 2:
         raise graph.refuse(index, f"weight of shape {weight.shape} is not a matrix")
+    _add_layer(graph, chain, index, weight, bias)
+
+
+def _add_layer(graph: Graph, chain: Chain, index: int, weight: np.ndarray, bias: np.ndarray | None) -> None:
+    """One more layer: weight float64[out, in], bias float64[out], float64[1] or None."""
     width = len(chain.biases[-1]) if chain.biases else chain.input_count or weight.shape[1]
     if weight.shape[1] != width:
         raise ModelError(
@@ -256,6 +314,49 @@ def _dense(graph: Graph, chain: Chain, index: int) -> None:
         chain.scale = chain.offset = None
     chain.weights.append(weight)
     chain.biases.append(bias)
+    chain.shape = (len(weight),)
+
+
+def _convolution(graph: Graph, chain: Chain, index: int) -> None:
+    """A convolution whose kernel covers the whole row is a layer: that is how MATLAB writes fully connected ones."""
+    node = graph.nodes[index]
+    kernel = graph.constants.get(node.input[1]) if len(node.input) > 1 else None
+    if kernel is None or kernel.ndim < 3:
+        raise graph.refuse(index, "has no constant kernel")
+    values = {attribute.name: attribute for attribute in node.attribute}
+    row = chain.shape
+    if row is None or len(row) != kernel.ndim - 1:
+        raise graph.refuse(index, f"meets rows of shape {row or 'unknown'}, its kernel has shape {kernel.shape}")
+    if "group" in values and values["group"].i != 1 or kernel.shape[1:] != row:
+        raise graph.refuse(index, f"its kernel of shape {kernel.shape} does not cover a whole row of shape {row}")
+    padded = "auto_pad" in values and values["auto_pad"].s not in (b"NOTSET", b"VALID")
+    if padded or "pads" in values and any(values["pads"].ints):
+        raise graph.refuse(index, "pads its rows")
+    bias = numbers(graph.constants[node.input[2]]).reshape(-1) if _has_constant(graph, node, 2) else None
+    if bias is None and len(node.input) > 2 and node.input[2]:
+        raise graph.refuse(index, "has a bias that is no constant")
+    _add_layer(graph, chain, index, numbers(kernel).reshape(len(kernel), -1), bias)
+    chain.shape = (len(kernel), *([1] * (kernel.ndim - 2)))
+
+
+def _batch_normalisation(graph: Graph, chain: Chain, index: int) -> None:
+    """As it was left after training: a scale and an offset a channel."""
+    node = graph.nodes[index]
+    if not all(_has_constant(graph, node, place) for place in (1, 2, 3, 4)):
+        raise graph.refuse(index, "has numbers that are no constants")
+    values = {attribute.name: attribute for attribute in node.attribute}
+    if "training_mode" in values and values["training_mode"].i:
+        raise graph.refuse(index, "is in training mode: export the network after model.eval()")
+    gain, shift, mean, variance = (numbers(graph.constants[name]).reshape(-1) for name in node.input[1:5])
+    epsilon = values["epsilon"].f if "epsilon" in values else 1e-5
+    scale = gain / np.sqrt(variance + epsilon)
+    offset = shift - mean * scale
+    repeats = math.prod(chain.shape[1:]) if chain.shape else 1
+    _scale(chain, np.repeat(scale, repeats), np.repeat(offset, repeats))
+
+
+def _has_constant(graph: Graph, node, place: int) -> bool:
+    return len(node.input) > place and node.input[place] in graph.constants
 
 
 def _fold_after(chain: Chain) -> None:
@@ -271,6 +372,12 @@ def _finished(place: str, chain: Chain) -> Chain:
     place = f"{place}: output '{chain.output}'"
     if not chain.weights:
         raise ModelError(place, "no MatMul or Gemm: not a network", "a multilayer perceptron")
+    for what, values, width in (
+        ("input scaling", (chain.input_offset, chain.input_scale), chain.input_count),
+        ("output scaling", (chain.scale, chain.offset), len(chain.biases[-1])),
+    ):
+        if any(value is not None and value.shape not in ((1,), (width,)) for value in values):
+            raise ModelError(place, f"its {what} is not one number a column of {width}", remedy="export it again")
     if len(chain.activations) < len(chain.weights):
         # bias written as an Add of its own: the first elementwise offset with unit scale belongs to the last matrix
         chain.activations.append(ACTIVATION_LINEAR)

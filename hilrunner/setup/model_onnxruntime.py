@@ -8,6 +8,7 @@ The period only learns that a call failed (its outputs become NaN, and the run s
 """
 
 import ctypes
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +28,8 @@ from hilrunner.plant.foreign_call import (
 )
 from hilrunner.plant.network import Mlp
 from hilrunner.plant.step import AxisPlant
+from hilrunner.setup.model_probe import probe
+from hilrunner.setup.model_rows import Rows, one_row, rows_of
 
 _API_VERSION = 5  # the first with IoBinding
 # places in OrtApi (onnxruntime_c_api.h: members are only ever appended)
@@ -118,13 +121,26 @@ def library_path() -> Path | None:
     return found[0] if found else None
 
 
-def bind(place: str, data: bytes, networks: dict[str, Mlp], text) -> tuple[dict[str, Mlp], list[Bound]]:
+@dataclass(frozen=True)
+class Part:
+    """What one network needs of a file: an ONNX file with one input and one output."""
+
+    data: bytes
+    rows: Rows
+    output: str
+    output_shape: tuple[int, ...]  # of one row as the file tells it; empty: it does not
+
+
+def bind(
+    place: str, data: bytes, networks: dict[str, Mlp], text, trusted: bool = False
+) -> tuple[dict[str, Mlp], list[Bound]]:
     """The same networks, each with the addresses of its own bound session.
 
     Args:
         data: bytes of the ONNX file.
         networks: opaque networks (ends only) by role.
         text: model_text.ModelText.
+        trusted: the file's own data sheet vouches for it; any other is tried in a process of its own first (model_probe).
 
     Returns:
         (networks with `foreign` set, what their addresses point to).
@@ -136,14 +152,23 @@ def bind(place: str, data: bytes, networks: dict[str, Mlp], text) -> tuple[dict[
     bound = {}
     path = library_path()
     for network in text.networks:
-        part, input_name, output_name, single = _part(place, data, network)
+        part = part_of(place, data, network)
+        one_row(place, part.rows)
         mlp = networks[network.role]
-        kind = np.float32 if single else np.float64
-        buffers = np.zeros(mlp.input_count, kind), np.zeros(mlp.output_count, kind)
-        names = (input_name, output_name)
+        names = (part.rows.name, part.output)
+        single = part.rows.kind == np.float32
+        shapes = part.rows.shape(1), part.output_shape
+        if not trusted or not part.output_shape:
+            shapes = shapes[0], tuple(probe(place, network.role, part.data, shapes[0], single, names))
+        if math.prod(shapes[1]) != mlp.output_count:
+            raise ModelError(
+                f"{place}: network '{network.role}'",
+                f"answers {math.prod(shapes[1])} numbers, its metadata names {mlp.output_count}", "the same number",
+            )  # fmt: skip
+        buffers = np.zeros(shapes[0], part.rows.kind), np.zeros(shapes[1], part.rows.kind)
         try:
             make = _bind_python if path is None else _bind_c
-            addresses, why, kept = make(path, part, names, buffers)
+            addresses, why, kept = make(path, part.data, names, buffers)
         except OSError as error:
             raise ModelError(place, f"onnxruntime refuses network '{network.role}': {error}") from error
         addresses[FOREIGN_SINGLE] = single
@@ -152,8 +177,8 @@ def bind(place: str, data: bytes, networks: dict[str, Mlp], text) -> tuple[dict[
     return bound, bindings
 
 
-def _part(place: str, data: bytes, network) -> tuple[bytes, str, str, bool]:
-    """The file reduced to what one output needs: (model, input name, output name, float32?)."""
+def part_of(place: str, data: bytes, network) -> Part:
+    """The file reduced to what one output needs; ModelError where that is more than one input, or of a foreign type."""
     import onnx
     from onnx import TensorProto
 
@@ -161,14 +186,9 @@ def _part(place: str, data: bytes, network) -> tuple[bytes, str, str, bool]:
     constants = {tensor.name for tensor in model.graph.initializer}
     outputs = {value.name: value for value in model.graph.output}
     output = network.output or next(iter(outputs))
-    makers = {name: index for index, node in enumerate(model.graph.node) for name in node.output}
-    wanted, used, kept = [output], set(), set()
-    while wanted:
-        name = wanted.pop()
-        used.add(name)
-        if name in makers and makers[name] not in kept:
-            kept.add(makers[name])
-            wanted += [source for source in model.graph.node[makers[name]].input if source]
+    if output not in outputs:
+        raise ModelError(place, f"has no output '{output}'", ", ".join(outputs))
+    used, kept = _needed(model.graph.node, output)
     inputs = [value for value in model.graph.input if value.name in used and value.name not in constants]
     if len(inputs) != 1:
         raise ModelError(place, f"output '{output}' needs {len(inputs)} inputs", "one input a network")
@@ -177,12 +197,37 @@ def _part(place: str, data: bytes, network) -> tuple[bytes, str, str, bool]:
     graph = onnx.helper.make_graph(nodes, model.graph.name, inputs, [outputs[output]], tensors)
     reduced = onnx.helper.make_model(graph, opset_imports=model.opset_import, functions=model.functions)
     reduced.ir_version = model.ir_version
-    kind = inputs[0].type.tensor_type.elem_type
-    if kind not in (TensorProto.FLOAT, TensorProto.DOUBLE):
-        raise ModelError(
-            place, f"input '{inputs[0].name}' has type {TensorProto.DataType.Name(kind)}", "FLOAT or DOUBLE"
-        )
-    return reduced.SerializeToString(), inputs[0].name, output, kind == TensorProto.FLOAT
+    kind = inputs[0].type.tensor_type
+    element = TensorProto.DataType.Name(kind.elem_type).lower() if kind.elem_type else "undefined"
+    rows = rows_of(place, inputs[0].name, element, _sizes(kind), len(network.inputs))
+    answer = _sizes(outputs[output].type.tensor_type)
+    told = len(answer) > 1 and all(isinstance(size, int) for size in answer[1:])
+    return Part(reduced.SerializeToString(), rows, output, (1, *answer[1:]) if told else ())
+
+
+def _sizes(kind) -> list:
+    """Sizes of a tensor type: numbers, and names where they are free."""
+    return [one.dim_value if one.dim_value > 0 else one.dim_param or "?" for one in kind.shape.dim]
+
+
+def _needed(nodes, output: str) -> tuple[set[str], set[int]]:
+    """Names and nodes that an output depends on, those that subgraphs name as well."""
+    makers = {name: index for index, node in enumerate(nodes) for name in node.output}
+    wanted, used, kept = [output], set(), set()
+    while wanted:
+        name = wanted.pop()
+        used.add(name)
+        if name in makers and makers[name] not in kept:
+            kept.add(makers[name])
+            inner = [nodes[makers[name]]]
+            while inner:
+                node = inner.pop()
+                wanted += [source for source in node.input if source and source not in used]
+                for attribute in node.attribute:
+                    graphs = [*attribute.graphs, *([attribute.g] if attribute.HasField("g") else [])]
+                    inner += [one for graph in graphs for one in graph.node]
+                    wanted += [value.name for graph in graphs for value in graph.output if value.name not in used]
+    return used, kept
 
 
 _shared: dict[str, tuple[_Library, ctypes.c_void_p]] = {}
@@ -209,11 +254,11 @@ def _bind_c(path: Path, part: bytes, names: tuple[str, str], buffers: tuple) -> 
     memory = library.make(_CREATE_CPU_MEMORY_INFO, ctypes.c_int(1), ctypes.c_int(0))
     binding = library.make(_CREATE_IO_BINDING, session)
     for place, name, buffer in zip((_BIND_INPUT, _BIND_OUTPUT), names, buffers, strict=True):
-        shape = (ctypes.c_int64 * 2)(1, buffer.size)
+        shape = (ctypes.c_int64 * buffer.ndim)(*buffer.shape)
         element = _ELEMENT_FLOAT if buffer.dtype == np.float32 else _ELEMENT_DOUBLE
         value = library.make(
             _CREATE_TENSOR_WITH_DATA, memory, ctypes.c_void_p(buffer.ctypes.data), ctypes.c_size_t(buffer.nbytes),
-            ctypes.cast(shape, ctypes.c_void_p), ctypes.c_size_t(2), ctypes.c_int(element),
+            ctypes.cast(shape, ctypes.c_void_p), ctypes.c_size_t(buffer.ndim), ctypes.c_int(element),
         )  # fmt: skip
         library.call(place, binding, ctypes.c_char_p(name.encode()), value)
     addresses = np.zeros(FOREIGN_SIZE, np.int64)
@@ -246,7 +291,7 @@ def _bind_python(
         session = onnxruntime.InferenceSession(part, options, providers=["CPUExecutionProvider"])
         binding = session.io_binding()
         for bind_one, name, buffer in zip((binding.bind_input, binding.bind_output), names, buffers, strict=True):
-            bind_one(name, "cpu", 0, buffer.dtype.type, (1, buffer.size), buffer.ctypes.data)
+            bind_one(name, "cpu", 0, buffer.dtype.type, buffer.shape, buffer.ctypes.data)
     except Exception as error:  # onnxruntime's error classes have no common base but Exception
         raise OSError(_first_line(error)) from error
     failed: list[str] = []

@@ -4,9 +4,10 @@ import json
 from dataclasses import dataclass
 
 from hilrunner.base.errors import ModelError
-from hilrunner.plant.head import FORM_PINNED, FORM_PLAIN, FORM_SHARE
+from hilrunner.plant.head import FORM_PINNED, FORM_PLAIN, FORM_SHARE, MAX_QUANTITIES
 
 FORMAT = "1"
+_LARGEST = 1e15  # of a training range, in the quantity's own unit
 KEY_FORMAT = "hil.format"
 KEY_CIRCUIT = "hil.circuit"
 KEY_RECIPE = "hil.recipe"
@@ -122,7 +123,7 @@ def read_text(place: str, properties: dict[str, str]) -> ModelText:
 def _json(place: str, properties: dict[str, str], key: str, kind: type):
     try:
         value = json.loads(properties[key])
-    except json.JSONDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise ModelError(place, f"metadata {key} is not JSON: {error}") from error
     if not isinstance(value, kind):
         raise ModelError(place, f"metadata {key} is a JSON {type(value).__name__}", kind.__name__)
@@ -135,7 +136,13 @@ def _network(place: str, circuit: str, recipe: str, entry: dict) -> NetworkText:
     if forms is None:
         known = ", ".join(r for c, n, r in ROLE_FORMS if (c, n) == (circuit, recipe))
         raise ModelError(place, f"role '{role}' is unknown for {circuit}/{recipe}", known)
-    inputs, outputs = tuple(entry.get("inputs", ())), tuple(entry.get("outputs", ()))
+    lists = {end: entry.get(end, []) for end in ("inputs", "outputs")}
+    for end, quantities in lists.items():
+        if not isinstance(quantities, list) or len(quantities) > MAX_QUANTITIES:
+            raise ModelError(
+                f"{place}: network '{role}' {end}", "is no short list", f"at most {MAX_QUANTITIES} quantities"
+            )
+    inputs, outputs = tuple(lists["inputs"]), tuple(lists["outputs"])
     _match(f"{place}: network '{role}' inputs", inputs, tuple(names for _, names, _ in forms), True)
     network = NetworkText(role, str(entry.get("input", "")), str(entry.get("output", "")), inputs, outputs)
     wanted = form_of(circuit, recipe, network)[2]
@@ -156,9 +163,13 @@ def _match(place: str, quantities: tuple[dict, ...], lists: tuple[tuple[str, ...
         known = " or ".join("(" + ", ".join(names_here) + ")" for names_here in lists)
         raise ModelError(place, f"({', '.join(names)})", known, "name each quantity once, with its unit last")
     for quantity in quantities:
-        if quantity.get("unit") not in UNITS:
+        if not isinstance(quantity.get("unit"), str) or quantity["unit"] not in UNITS:
             raise ModelError(place, f"'{quantity['name']}' has unit {quantity.get('unit')!r}", ", ".join(UNITS))
         if ranged:
             low, high = quantity.get("low"), quantity.get("high")
-            if not (isinstance(low, (int, float)) and isinstance(high, (int, float)) and low < high):
+            if not (_is_number(low) and _is_number(high) and low < high):
                 raise ModelError(place, f"'{quantity['name']}' has training range {low!r} to {high!r}", "low < high")
+
+
+def _is_number(value) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST

@@ -318,3 +318,136 @@ def test_the_command_line_exits_with_2_and_one_line(tmp_path, capsys):
     assert main(["check", str(profile)]) == 2
     lines = capsys.readouterr().err.strip().splitlines()
     assert len(lines) == 1 and "broken.onnx" in lines[0]
+
+
+def spoilt(tmp_path, key, value):
+    def spoil(model):
+        for entry in model.metadata_props:
+            if entry.key == key:
+                entry.value = value
+
+    return changed(tmp_path, spoil)
+
+
+@pytest.mark.parametrize("value", ["NaN", "Infinity", '"30"', "[30]", "true", "null"])
+def test_what_a_network_was_trained_for_must_be_a_number(tmp_path, value):
+    path = spoilt(tmp_path, "hil.parameters", f'{{"supply_pressure_mpa": {value}}}')
+    refuse(path, "hil.parameters", "supply_pressure_mpa", "finite number", parameters=make_parameters("paper"))
+
+
+@pytest.mark.parametrize(
+    ("value", "word"),
+    [
+        ("[" * 100_000, "not JSON"),
+        ('[{"role": "flow", "inputs": 5, "outputs": []}]', "no short list"),
+        ('[{"role": "flow", "inputs": [3], "outputs": []}]', "inputs"),
+        ('[{"role": "flow", "inputs": [' + ",".join(["{}"] * 5000) + '], "outputs": []}]', "no short list"),
+    ],
+)
+def test_descriptions_of_the_wrong_kind(tmp_path, value, word):
+    refuse(spoilt(tmp_path, "hil.networks", value), word)
+
+
+@pytest.mark.parametrize(
+    ("unit", "low"), [("[]", "0.0"), ('"MPa"', "-Infinity"), ('"MPa"', "false"), ('"MPa"', "-1e300")]
+)
+def test_quantities_of_the_wrong_kind(tmp_path, unit, low):
+    path = shipped(tmp_path)
+    networks = next(e.value for e in onnx.load(path).metadata_props if e.key == "hil.networks")
+    entry = json.loads(networks)
+    entry[0]["inputs"][0] |= {"unit": json.loads(unit), "low": json.loads(low)}
+    refuse(spoilt(tmp_path, "hil.networks", json.dumps(entry)), entry[0]["inputs"][0]["name"])
+
+
+def test_texts_and_giants_among_the_constants(tmp_path):
+    words = helper.make_tensor("words", TensorProto.STRING, [2], [b"a", b"b"])
+    refuse(changed(tmp_path, lambda model: model.graph.initializer.append(words)), "constant 'words'", "texts")
+    giant = TensorProto(name="giant", data_type=TensorProto.DOUBLE, dims=[1 << 20, 1 << 20])
+    refuse(changed(tmp_path, lambda model: model.graph.initializer.append(giant)), "constant 'giant'", "at most")
+    short = TensorProto(name="short", data_type=TensorProto.DOUBLE, dims=[40], raw_data=b"12345678")
+    refuse(changed(tmp_path, lambda model: model.graph.initializer.append(short)), "constant 'short'", "damaged")
+
+
+def test_a_bias_of_another_length_is_refused_by_its_node(tmp_path):
+    def shorten(model):
+        for tensor in model.graph.initializer:
+            if tensor.name.endswith("bias_1"):
+                tensor.CopyFrom(numpy_helper.from_array(np.zeros(7), tensor.name))
+
+    refuse(changed(tmp_path, shorten), "Gemm", "do not fit")
+
+
+def test_a_small_file_that_wants_the_machines_memory_or_time(tmp_path, monkeypatch):
+    """Engine onnx runs any graph: a first row goes through a process of its own, with a budget."""
+    from hilrunner.setup import model_probe
+
+    path = tmp_path / "giant.onnx"
+    size = numpy_helper.from_array(np.array([4_000_000_000]), "size")
+    nodes = [
+        helper.make_node("ConstantOfShape", ["size"], ["zeros"]),
+        helper.make_node("ReduceSum", ["zeros"], ["sum"]),
+        helper.make_node("MatMul", ["x", "K"], ["m"]),
+        helper.make_node("Add", ["m", "sum"], ["y"]),
+    ]
+    model = onnx_models.save(path, nodes, {"K": np.ones((3, 2))})
+    model.graph.initializer.append(size)
+    onnx.save(model, path)
+    refuse(path, "network 'flow'", "1 GB and 60 s", in_loop=True)
+    monkeypatch.setattr(model_probe, "TIME_MAX_S", 3)
+    monkeypatch.setattr(model_probe, "_BUDGET", "1 GB and 3 s")
+    refuse(_endless(tmp_path / "endless.onnx"), "network 'flow'", "took too long", in_loop=True)
+
+
+def _endless(path):
+    """A Loop of 2^62 rounds."""
+    one = helper.make_tensor_value_info
+    body = helper.make_graph(
+        [helper.make_node("Identity", ["go"], ["go_on"]), helper.make_node("Identity", ["value"], ["same"])],
+        "body",
+        [
+            one("round", TensorProto.INT64, []),
+            one("go", TensorProto.BOOL, []),
+            one("value", TensorProto.FLOAT, ["n", 2]),
+        ],
+        [one("go_on", TensorProto.BOOL, []), one("same", TensorProto.FLOAT, ["n", 2])],
+    )
+    nodes = [
+        helper.make_node("MatMul", ["x", "K"], ["m"]),
+        helper.make_node("Loop", ["rounds", "yes", "m"], ["y"], body=body),
+    ]
+    model = onnx_models.save(path, nodes, {"K": np.ones((3, 2))})
+    model.graph.initializer.append(numpy_helper.from_array(np.array(1 << 62), "rounds"))
+    model.graph.initializer.append(numpy_helper.from_array(np.array(True), "yes"))
+    onnx.save(model, path)
+    return path
+
+
+@pytest.mark.parametrize("kind", ["fifo", "device", "folder"])
+def test_a_model_that_is_no_regular_file(tmp_path, kind):
+    """A pipe would wait for ever; a device has no end."""
+    import os
+    from pathlib import Path
+
+    path = Path("/dev/zero") if kind == "device" else tmp_path / "net.onnx"
+    if kind == "fifo":
+        os.mkfifo(path)
+    elif kind == "folder":
+        path.mkdir()
+    refuse(path, "no regular file")
+
+
+def test_external_data_of_many_tensors_shares_one_budget(tmp_path):
+    path = with_external_data(tmp_path, "weights.bin", size=FILE_SIZE_MAX_BYTES - 100_000)
+    model = onnx.ModelProto.FromString(path.read_bytes())
+    for tensor in model.graph.initializer:
+        for entry in list(tensor.external_data):
+            if entry.key == "length":
+                tensor.external_data.remove(entry)
+    path.write_bytes(model.SerializeToString())
+    (outside,) = [tensor for tensor in model.graph.initializer if tensor.data_location == TensorProto.EXTERNAL]
+    for number in range(3):
+        copy = model.graph.initializer.add()
+        copy.CopyFrom(outside)
+        copy.name = f"more{number}"
+    path.write_bytes(model.SerializeToString())
+    refuse(path, "external")
