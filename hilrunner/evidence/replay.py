@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from hilrunner.base import exit_codes
-from hilrunner.base.errors import LogError
+from hilrunner.base.errors import HilrunnerError, LogError
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
 from hilrunner.evidence.coverage import coverage_sentences
+from hilrunner.evidence.damaged import DamagedLogError
 from hilrunner.evidence.facts import RunFacts, read_facts
 from hilrunner.evidence.judging import verdict_of
 from hilrunner.evidence.reader import Run, read_run
@@ -61,8 +62,20 @@ def build_replay(path: str | Path, options: ReplayOptions, progress: Progress = 
 
     Raises LogError when the log cannot be read or lacks what a replay needs; ProfileError, ModelError, DbcError when this
     version refuses what the log carries; UsageError for a duration without a period; StateError when the full model has no consistent start.
+    DamagedLogError in place of any of these where the log does not match its own checksums.
     """
     run = read_run(path)
+    try:
+        return _built(path, run, options, progress)
+    except HilrunnerError as error:
+        if run.mismatches:
+            raise DamagedLogError(
+                str(path), f"damaged, and it cannot be replayed: {run.mismatches[0]}; {error}"
+            ) from None
+        raise
+
+
+def _built(path: str | Path, run: Run, options: ReplayOptions, progress: Progress) -> Replay:
     if not len(run.tick) or not run.axis_names:
         raise LogError(
             str(path), "holds no ticks with states, so there is nothing to replay", remedy="replay a log of `run`"

@@ -52,9 +52,10 @@ class Judgement:
         """What is wrong, in words: value, limit, unit, reason."""
         unit = f" {self.unit}" if self.unit else ""
         reason = "; ".join(part for part in (self.detail, self.over) if part)
-        if self.outcome == NOT_JUDGED or math.isnan(self.limit):
-            allowed = "" if math.isnan(self.limit) else f" (limit {self.limit:g}{unit})"
-            return f"{self.key}: {self.outcome}: {reason or self.doc}{allowed}"
+        if self.key not in KEYS and self.by_default:  # a yes or a no
+            return f"{self.key}: {self.outcome}: {reason or self.doc}"
+        if self.outcome == NOT_JUDGED:
+            return f"{self.key}: {self.outcome}: {reason or self.doc} (limit {self.limit:g}{unit})"
         return f"{self.key}: {self.outcome}: {self.value:g} against {self.limit:g}{unit}" + (
             f" ({reason})" if reason else ""
         )

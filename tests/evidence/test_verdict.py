@@ -9,9 +9,10 @@ from hilrunner.base import status
 from hilrunner.evidence import plant_use
 from hilrunner.evidence.junit import junit_xml
 from hilrunner.evidence.report import build_report
-from hilrunner.evidence.verdict import FAILED, NOT_JUDGED, PASSED
+from hilrunner.evidence.verdict import FAILED, NO_LIMITS, NOT_JUDGED, PASSED
 from hilrunner.setup.limits import KEYS
 from tests.tools import synthetic_run
+from tests.tools.copy_log import copy_with
 
 # value of each limit that the synthetic run below just keeps, and one it breaks
 EDGES = {
@@ -178,3 +179,70 @@ def test_junit_carries_every_limit(tmp_path):
     assert cases["tracking_error_mm_max"].find("error") is not None
     assert cases["pressure_mpa_max"].find("failure") is None
     assert suite.find("properties/property").get("value") == r"a\x07b & c"
+
+
+def outcomes_of(report) -> dict[str, str]:
+    return {one.key: one.outcome for one in report.verdict.judgements}
+
+
+def test_no_limits_is_not_passed(tmp_path):
+    verdict = report_of(tmp_path, "settling_speed_mmps = 0.5", edit=None).verdict
+    assert (verdict.outcome, verdict.passed, verdict.exit_code) == (NO_LIMITS, False, 0)
+
+
+def test_a_missing_end_of_the_log_is_judged_in_every_figure(tmp_path):
+    """The ring was full until the end: what is judged says over how much, and what is missing fails."""
+    report = report_of(tmp_path, "pressure_mpa_max = 30.0", metadata={"run": {"dropped_ticks": "8111"}}, edit=None)
+    (pressure,) = [one for one in report.verdict.judgements if one.key == "pressure_mpa_max"]
+    assert pressure.outcome == PASSED and pressure.over == "over 3584 of 11695 ticks"
+    assert report.verdict.exit_code == 1
+    assert [cause for cause in report.verdict.causes if "ticks_lost_max: failed: 8111 against 0 ticks" in cause]
+    assert report_of(
+        tmp_path, "ticks_lost_max = 8111", metadata={"run": {"dropped_ticks": "8111"}}, edit=None
+    ).verdict.passed
+
+
+def test_refused_frames_are_counted_by_the_loop_not_by_the_log(tmp_path):
+    """A log that lost frames does not know how many were refused; the loop's own counters stand at its end."""
+    metadata = {"frames": {"lift.bad crc": "70000"}}
+    report = report_of(tmp_path, "frames_rejected_max = 5\nframes_lost_max = 1e9", metadata=metadata)
+    (rejected,) = [one for one in report.verdict.judgements if one.key == "frames_rejected_max"]
+    assert (rejected.outcome, rejected.value) == (FAILED, 70000)
+
+
+def test_a_field_the_log_does_not_have_is_not_judged_as_zero(tmp_path):
+    path = synthetic_run.write_run(tmp_path / "run.mcap", 500, profile_text=profile("end_stop_ticks_max = 0"))
+    other = copy_with(
+        path, tmp_path / "other.mcap", schema=lambda text: text.replace(b"uint32 flags #", b"uint32 fl4gs #")
+    )
+    report = build_report(other)
+    assert outcomes_of(report)["end_stop_ticks_max"] == NOT_JUDGED
+    assert any("no /lift/state flags" in cause for cause in report.verdict.causes)
+    assert outcomes_of(build_report(path))["end_stop_ticks_max"] == PASSED
+
+
+def test_an_axis_without_a_logged_state_is_not_judged(tmp_path):
+    text = profile("").replace("[limits]", '[[axis]]\nname = "slew"\n[limits]') + "pressure_mpa_max = 30.0"
+    report = build_report(synthetic_run.write_run(tmp_path / "run.mcap", 500, profile_text=text))
+    assert outcomes_of(report)["pressure_mpa_max"] == NOT_JUDGED
+    assert any("no state of axis slew" in cause for cause in report.verdict.causes)
+
+
+def test_a_cross_check_that_stopped_does_not_pass(tmp_path):
+    check = {
+        "lift.checked_ticks": "300",
+        "lift.restart_count": "0",
+        "left_out_ticks": "0",
+        "error": "MemoryError: no room",
+    }
+    verdict = report_of(tmp_path, "pressure_mpa_max = 30.0", metadata={"check": check}, edit=None).verdict
+    assert verdict.exit_code == 1
+    assert any("unchecked_ticks_max" in cause and "MemoryError" in cause for cause in verdict.causes)
+
+
+def test_a_sustained_error_that_no_record_flags_fails(tmp_path):
+    """The recorder tells the first tick of any failure at the end."""
+    check = {"lift.checked_ticks": "99999", "lift.failed_tick": "1234", "error": ""}
+    verdict = report_of(tmp_path, "pressure_mpa_max = 30.0", metadata={"check": check}, edit=None).verdict
+    assert verdict.exit_code == 5
+    assert any("axis lift from tick 1234 on" in cause for cause in verdict.causes)

@@ -6,12 +6,13 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 
-def copy_with(path, target, keep=None, edit=None, **options) -> Path:
+def copy_with(path, target, keep=None, edit=None, schema=None, **options) -> Path:
     """Copy a log.
 
     Args:
         keep: called with a topic; False leaves it out.
         edit: called with (topic, log time, data bytes); returns the data to write.
+        schema: called with the text of a schema, bytes; returns the text to write.
         options: of mcap.writer.Writer.
     """
     with open(path, "rb") as source, open(target, "wb") as out:
@@ -23,11 +24,12 @@ def copy_with(path, target, keep=None, edit=None, **options) -> Path:
         for one in reader.iter_metadata():
             writer.add_metadata(one.name, one.metadata)
         ids = {}
-        for schema, channel, message in reader.iter_messages(log_time_order=False):
+        for described, channel, message in reader.iter_messages(log_time_order=False):
             if keep is not None and not keep(channel.topic):
                 continue
             if channel.topic not in ids:
-                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                text = described.data if schema is None else schema(described.data)
+                schema_id = writer.register_schema(described.name, described.encoding, text)
                 ids[channel.topic] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
             data = message.data if edit is None else edit(channel.topic, message.log_time, message.data)
             writer.add_message(ids[channel.topic], message.log_time, data, message.publish_time)

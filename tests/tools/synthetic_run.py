@@ -186,7 +186,7 @@ def write_run(
         if edit is not None:
             edit(block)
         _count_outcomes(block["can"], outcomes)
-        _write_block(writer, block)
+        write_block(writer, block)
     writer.write_log(20, "recorder", "synthetic run", START_REAL_NS)
     writer.close(_closing(tables, counts, outcomes, metadata or {}))
     return Path(path)
@@ -207,7 +207,8 @@ def _closing(tables: dict, counts: dict[str, int], outcomes: dict[str, int], giv
     return {"run": run, "frames": {key: str(count) for key, count in outcomes.items()} | given.get("frames", {})}
 
 
-def _write_block(writer: LogWriter, block: dict[str, np.ndarray]) -> None:
+def write_block(writer: LogWriter, block: dict[str, np.ndarray]) -> None:
+    """Hand a block to a log, or to what stands in its place."""
     for part in range(0, len(block["tick"]), 1000):  # as the recorder does: about a second at a time
         rows = slice(part, part + 1000)
         tick = block["tick"][rows]

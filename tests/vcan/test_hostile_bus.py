@@ -47,7 +47,10 @@ def test_fuzzed_frames_change_nothing_but_counters(bench):
         time.sleep(0.2)
     code = running.end(signal.SIGINT)
     summary = running.summary()
-    assert code == exit_codes.PASSED, summary
+    assert code == exit_codes.VERDICT_FAILED, summary
+    assert [cause.split(":")[0] for cause in summary["verdict"]["causes"]] == ["firmware_heard"], (
+        "not one frame was valid"
+    )
     (axis,) = summary["axes"]
     assert axis["mode"] == "waiting"
     assert axis["rod_position_mm"] == pytest.approx(600.0, abs=0.01)
@@ -117,7 +120,9 @@ def test_a_full_disk_costs_log_but_not_the_run(bench, tmp_path):
         code = running.end()
         summary = running.summary()
         assert summary["exit_reason"] == "duration reached"
-        assert code in (exit_codes.PASSED, exit_codes.VERDICT_FAILED)
+        assert code == exit_codes.VERDICT_FAILED
+        causes = " ".join(summary["verdict"]["causes"])
+        assert "ticks_lost_max: failed" in causes and "frames_lost_max: failed" in causes
         assert summary["tick_count"] + summary["skipped_count"] >= 12e6 / vcan_bench.PERIOD_US - 1
         assert summary["recorder"]["lost_bytes"] > 0
         run = running.run()

@@ -142,9 +142,10 @@ def test_a_killed_runner_leaves_a_complete_log(bench, firmware):
 def test_a_signal_ends_a_run_cleanly(bench, number):
     running = bench(json_=False)
     time.sleep(0.5)
-    assert running.end(number) == exit_codes.PASSED, running.err
+    assert running.end(number) == exit_codes.VERDICT_FAILED, running.err
     assert "stopped by signal" in running.out
-    assert "exit code 0" in running.out
+    assert "firmware_heard: failed: " in running.out and "never got a valid command" in running.out
+    assert "exit code 1" in running.out
     run = running.run()
     complete(run)
     assert run.metadata["run"]["exit_reason"] == "stopped by signal"

@@ -1,0 +1,100 @@
+"""A run without a log is judged as the same run with one: the same limits, the same values."""
+
+import json
+
+import numpy as np
+import pytest
+
+from hilrunner.base import status
+from hilrunner.evidence.plant_use import SettlingTally
+from hilrunner.evidence.reader import read_run
+from hilrunner.evidence.report import build_report
+from hilrunner.evidence.tally import Tally
+from hilrunner.record.statistics import HISTOGRAM_ATTACHMENT
+from tests.evidence.test_verdict import EDGES, eventful, profile
+from tests.tools import synthetic_run
+
+TICKS = 3590
+OF_THE_LOG = {"log_undamaged", "log_finished"}
+
+
+def histograms(report) -> bytes:
+    """What the loop of this run would have counted."""
+    table: dict = {"scale": {"sub_bucket_bits": 6, "value_bits": 40}}
+    for name, one in report.latency.distributions.items():
+        used = np.flatnonzero(one.row)
+        table[name] = {"extreme": one.extreme.tolist(), "buckets": np.column_stack((used, one.row[used])).tolist()}
+    return json.dumps(table).encode()
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    """The same records into a log and past a tally: (report of the log, verdict of the tally)."""
+    blocks = []
+
+    def keep(block):
+        eventful(block)
+        blocks.append({name: rows.copy() for name, rows in block.items()})
+
+    text = profile("\n".join(f"{key} = {kept}" for key, (kept, _) in EDGES.items()))
+    text = text.replace("wake_lateness_us_p999 = 1200.0", "wake_lateness_us_p999 = 1225.0")
+    path = tmp_path_factory.mktemp("tally") / "run.mcap"
+    synthetic_run.write_run(path, TICKS, profile_text=text, stall_every=900, edit=keep)
+    report, tables = build_report(path), read_run(path).metadata
+    tally = Tally([synthetic_run.AXIS], tables, [("profile.toml", "application/toml", text.encode())])
+    for block in blocks:
+        synthetic_run.write_block(tally, block)
+    tally.add_attachment(HISTOGRAM_ATTACHMENT, "application/json", histograms(report))
+    tally.close(tables)
+    return report, tally.verdict
+
+
+def test_every_limit_has_the_same_value_and_outcome(both):
+    report, told = both
+    of_log = {one.key: one for one in report.verdict.judgements if one.key not in OF_THE_LOG}
+    of_tally = {one["key"]: one for one in told["limits"]}
+    assert set(of_log) == set(of_tally) and set(EDGES) <= set(of_tally)
+    for key, one in of_log.items():
+        rounding = 0.016 if key == "wake_lateness_us_p999" else 1e-12
+        assert of_tally[key]["value"] == pytest.approx(one.value, rel=rounding, abs=1e-12), key
+        assert (of_tally[key]["outcome"], of_tally[key]["unit"]) == (one.outcome, one.unit), key
+    assert (told["outcome"], told["exit_code"]) == ("passed", 0)
+
+
+def test_what_the_ring_dropped_fails_without_a_log_too(both):
+    tables = {
+        "run": {"exit_reason": "duration reached", "tick_count": "0", "dropped_ticks": "12", "axis_names": "lift"}
+    }
+    tally = Tally(["lift"], tables, [("profile.toml", "application/toml", profile("pressure_mpa_max = 30.0").encode())])
+    tally.close(tables)
+    assert tally.verdict["exit_code"] == 1
+    causes = " ".join(tally.verdict["causes"])
+    assert "ticks_lost_max: failed: 12 against 0" in causes
+    assert "pressure_mpa_max: not judged: the log has no state of axis lift" in causes or "no axis" in causes
+
+
+@pytest.mark.parametrize("batch", [1, 7, 100, 5000])
+def test_stops_do_not_depend_on_how_the_run_is_cut(batch):
+    rng = np.random.default_rng(5)
+    tick = np.arange(5000)
+    valve = np.repeat([0.3, 0.0, -0.7, 0.002, 0.3, 0.002, 0.01, 0.0, 0.9, 0.0], 500)
+    valve[rng.integers(0, 5000, 5)] = 0.3  # a stretch at neutral that is broken, another that is too short
+    speed = np.abs(valve) * 20 + rng.random(5000)
+    whole = SettlingTally(1_000_000, 0.5)
+    whole.take(tick, valve, speed)
+    parts = SettlingTally(1_000_000, 0.5)
+    for start in range(0, 5000, batch):
+        rows = slice(start, start + batch)
+        parts.take(tick[rows], valve[rows], speed[rows])
+    assert parts.rows().tolist() == whole.rows().tolist()
+    assert len(whole.rows()) >= 3
+
+
+def test_a_firmware_that_is_silent_fails_without_a_log_too():
+    tables = {"run": {"exit_reason": "duration reached", "tick_count": "0", "dropped_ticks": "0", "axis_names": "lift"}}
+    for keys, code in (("", 1), ("[bench]\nrequire_firmware = false\n", 0)):
+        text = profile("frames_rejected_max = 5").replace("[[axis]]", keys + "[[axis]]")
+        tally = Tally(["lift"], tables, [("profile.toml", "application/toml", text.encode())])
+        tally.close(tables)
+        assert tally.verdict["exit_code"] == code, tally.verdict["causes"]
+    assert status.MODE_WAITING == 0
