@@ -78,7 +78,11 @@ def main(argv: list[str] | None = None) -> int:
         except BaseException as error:
             # what an interrupted import raises is not always a KeyboardInterrupt
             if not interrupts.asked and not isinstance(error, KeyboardInterrupt):
-                raise
+                if not isinstance(error, Exception):
+                    raise
+                from hilrunner.commands import net
+
+                return net.told(error, _command_of(words))
     exec("")  # an interrupt inside an earlier exec of a text would let the interpreter end by a signal, not by our code
     print("hilrunner: interrupted before there was a result; nothing is left half done", file=sys.stderr)
     return INTERRUPTED
@@ -89,6 +93,7 @@ def _heard(words: list[str]) -> int:
     from hilrunner.commands import streams
     from hilrunner.commands.plain_streams import plain_streams
 
+    streams.open_closed()
     try:
         with plain_streams():
             try:

@@ -28,6 +28,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     bus.add_argument("--fd", action="store_true", help="CAN FD frames")
     bus.add_argument(
+        "--bus-option",
+        action="append",
+        default=[],
+        metavar="KEY=VALUE",
+        help="a further argument of the python-can interface, as host=..., port=..., data_bitrate=...; repeatable",
+    )
+    bus.add_argument(
         "--stimulus",
         metavar="FILE",
         help="valve schedule, CAN log, or the log of a run, in place of commands from the bus",

@@ -16,10 +16,11 @@ from hilrunner.commands.again import load_again, stimulus_named
 from hilrunner.commands.run_summary import finite, summarise_run
 from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
 from hilrunner.commands.run_verdict import exit_code_of, verdict_of_run
-from hilrunner.commands.streams import spare_the_work
+from hilrunner.commands.streams import is_terminal, spare_the_work
 from hilrunner.commands.targets import claim_free_log, claim_log
 from hilrunner.setup import host
 from hilrunner.setup.axes import check_duration, engine_named
+from hilrunner.setup.bus_settings import configured, with_words
 from hilrunner.setup.profile import LoadedProfile, checked
 from hilrunner.setup.session import RunOptions, Session
 
@@ -46,7 +47,7 @@ def _watched(session: Session, args: argparse.Namespace) -> int:
     with spare_the_work():
         if not args.json:
             print_start(session)
-    live = LiveLine(session, enabled=sys.stderr.isatty() and not args.json)
+    live = LiveLine(session, enabled=is_terminal(sys.stderr) and not args.json)
     while session.running(_LIVE_INTERVAL_S):
         live.update()
     live.close()
@@ -92,6 +93,7 @@ def _options(args: argparse.Namespace, loaded: LoadedProfile) -> RunOptions:
         channel=channel,
         bitrate=loaded.profile.can.bitrate,
         fd=loaded.profile.can.fd,
+        bus_options=with_words(loaded.profile.can.options, args.bus_option),
         duration_s=args.duration,
         log_path=log_path,
         log_is_new=log_is_new,
@@ -112,10 +114,8 @@ def _bus_names(args: argparse.Namespace) -> tuple[str, str | None]:
         return args.interface, channel
     if args.can:
         return "socketcan", channel
-    import can.util
-
-    configured = can.util.load_file_config() | can.util.load_environment_config()
-    return str(configured.get("interface", "socketcan")), channel or configured.get("channel")
+    found = configured()
+    return str(found.get("interface", "socketcan")), channel or found.get("channel")
 
 
 def _claimed_log(args: argparse.Namespace, loaded: LoadedProfile) -> tuple[Path, bool]:

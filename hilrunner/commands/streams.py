@@ -9,6 +9,29 @@ from collections.abc import Iterator
 PIPE_CLOSED = 141  # 128 + SIGPIPE, what a shell says of any program whose reader has gone
 
 
+def open_closed() -> None:
+    """Descriptors that were closed at the start (`>&-`) lead nowhere: no file of ours may be opened under their numbers."""
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        try:
+            os.fstat(number)
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_RDWR)
+            if nowhere != number:
+                os.dup2(nowhere, number)
+                os.close(nowhere)
+            os.set_inheritable(number, True)
+            if getattr(sys, name) is None:
+                setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
+
+
+def is_terminal(stream) -> bool:
+    """Whether a stream is a terminal; one that is closed or not there is none."""
+    try:
+        return stream is not None and stream.isatty()
+    except ValueError:
+        return False
+
+
 def flush() -> None:
     """Send what waits, so that a refusal is met here and not in the interpreter's last words."""
     for stream in (sys.stdout, sys.stderr):
@@ -44,6 +67,10 @@ def spare_the_work() -> Iterator[None]:
 
 def _refuses(stream) -> bool:
     """Nobody reads the other end, or what waits cannot be sent (with PYTHONUNBUFFERED nothing ever waits)."""
+    try:
+        stream.fileno()
+    except (OSError, ValueError):
+        return False  # not a file at all: nothing that could refuse
     try:
         stream.flush()
         end = select.poll()

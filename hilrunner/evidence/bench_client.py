@@ -4,7 +4,6 @@ import contextlib
 import json
 import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -14,6 +13,7 @@ from typing import Any
 
 from hilrunner.base.errors import CanError
 from hilrunner.evidence.signals import Messages
+from hilrunner.record.child import module_command
 
 START_LIMIT_S = 300.0  # the first start on a machine compiles
 STOP_LIMIT_S = 60.0
@@ -258,4 +258,4 @@ class Bench:
 
 def bench_command(interface: str, channel: str, profile: str, options: list[str]) -> list[str]:
     """How a bench is started on a bus."""
-    return [sys.executable, "-m", "hilrunner", "run", "-i", interface, "-c", channel, "--profile", profile, *options]
+    return [*module_command("hilrunner"), "run", "-i", interface, "-c", channel, "--profile", profile, *options]

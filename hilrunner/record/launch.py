@@ -9,15 +9,13 @@ import mmap
 import os
 import pickle
 import subprocess
-import sys
 import tempfile
 import time
-from pathlib import Path
 
-import hilrunner
 from hilrunner.base import ring as ring_layout
 from hilrunner.base.errors import LogError
 from hilrunner.record import config as recorder_config
+from hilrunner.record.child import environment, module_command
 
 READY_OPEN = 1
 READY_REFUSED = 2
@@ -155,18 +153,12 @@ def keep_in_memory(name: str, data: bytes) -> int:
 def start_recorder(config: recorder_config.RecorderConfig, ring: ring_layout.Ring) -> RecorderHandle:
     """Start the recorder in a session of its own (Ctrl-C does not reach it); `ring` is the one behind config.ring_fd."""
     errors = tempfile.TemporaryFile()  # noqa: SIM115  (lives as long as the handle)
-    root = str(Path(hilrunner.__file__).resolve().parent.parent)
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH")))),
-        "OPENBLAS_NUM_THREADS": "1",  # no pool of threads beside the loop
-    }
     handed_over = [one.fd for one in config.attachments if one.fd is not None]
     handed_over += [] if config.check is None else [config.check.plants_fd]
     try:
         process = subprocess.Popen(
-            [sys.executable, "-m", config.module],
-            env=environment,
+            module_command(config.module),
+            env=environment(OPENBLAS_NUM_THREADS="1"),  # no pool of threads beside the loop
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=errors,

@@ -5,9 +5,7 @@ interpreted engines run in a process of their own without compilation, as the ar
 """
 
 import json
-import os
 import subprocess
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -19,6 +17,7 @@ from hilrunner.bench.library_ida import library_ida_states
 from hilrunner.bench.turns import median_ratio, time_turns
 from hilrunner.plant.ida import solve_ida
 from hilrunner.plant.step import AxisPlant, assemble, default_substep_count, initial_state
+from hilrunner.record import child
 from hilrunner.reproduce import article
 from hilrunner.reproduce.compare import surrogate_words
 from hilrunner.reproduce.models import LIFT_FLOW, PAPER_FLOW, PERIOD_S, Models, reference_of
@@ -228,12 +227,10 @@ def interpreted(circuit: str, path, reference: AxisPlant, surrogate: AxisPlant) 
 def ask_process(module: str, request: dict, environment: dict[str, str] | None = None) -> dict:
     """Run a module of this package as a process: JSON in, JSON out; RuntimeError with its last words where it fails."""
     threads = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
-    paths = [path for path in sys.path if path]
-    search = {"PYTHONPATH": os.pathsep.join(paths)}
     done = subprocess.run(
-        [sys.executable, "-m", module],
+        child.module_command(module),
         input=json.dumps(request),
-        env={**os.environ, **threads, **search, **(environment or {})},
+        env=child.environment(**threads, **(environment or {})),
         capture_output=True,
         text=True,
     )

@@ -4,13 +4,16 @@ SocketCAN: the raw socket itself. Any other python-can backend: a pump thread mo
 AF_UNIX datagram socketpair whose other end goes into the loop. The loop has no second path.
 """
 
+import collections
 import os
 import socket
 import threading
+import time
 from pathlib import Path
 from typing import Any
 
-from hilrunner.base.errors import CanError, UsageError
+from hilrunner.base.errors import CanError
+from hilrunner.setup.bus_open import close_bus, open_backend
 from hilrunner.setup.can_frame import pack_frame, unpack_frame
 
 _SO_RCVBUFFORCE = 33
@@ -18,6 +21,9 @@ _SO_RXQ_OVFL = 40
 _SO_TIMESTAMPNS = 35
 _RECEIVE_BUFFER_BYTES = 4 << 20
 _IFF_UP = 1
+_RECEIVE_WAIT_S, _PAUSE_S = 0.1, 0.001
+_ECHOING = ("udp_multicast",)  # python-can knows no way to keep its own datagrams out
+_OWN_FRAME_AGE_S, _OWN_FRAMES_MAX = 1.0, 4096
 
 
 class OpenBus:
@@ -38,35 +44,42 @@ class OpenBus:
         """End the pump and close the bus."""
         if self.pump:
             self.pump.stop()
-        self.bus.shutdown()
+        close_bus(self.bus)
 
 
-def open_bus(interface: str, channel: str, bitrate: int | None = None, fd: bool = False) -> OpenBus:
+def open_bus(
+    interface: str,
+    channel: str | None,
+    bitrate: int | None = None,
+    fd: bool = False,
+    options: dict[str, Any] | None = None,
+) -> OpenBus:
     """Open a bus by python-can's names.
 
-    Raises:
-        CanError: the interface is missing, down, or does not carry what is asked of it.
-        UsageError: no such python-can backend.
-    """
-    import can
+    Args:
+        options: further arguments of the python-can backend (host, port, data_bitrate, ...); they go before `bitrate`.
 
+    Raises:
+        CanError: the interface is missing, down, does not answer, or does not carry what is asked of it.
+        UsageError: no such python-can backend, or options it does not take.
+    """
     if interface == "socketcan":
-        _check_interface(channel, fd)
-    options: dict[str, Any] = {"fd": fd} if fd else {}
+        _check_interface(str(channel), fd)
+    arguments: dict[str, Any] = {"fd": fd} if fd else {}
     if bitrate and interface not in ("socketcan", "virtual", "udp_multicast"):
-        options["bitrate"] = bitrate
-    try:
-        bus = can.Bus(interface=interface, channel=channel, receive_own_messages=False, **options)
-    except can.CanInterfaceNotImplementedError as error:
-        raise UsageError(f"-i {interface}", str(error), remedy="name a python-can interface") from error
-    except (OSError, can.CanError, ValueError, ImportError) as error:
-        raise CanError(
-            f"{interface}:{channel}", f"cannot be opened: {error}", remedy="check the name, the driver and the rights"
-        ) from error
+        arguments["bitrate"] = bitrate
+    arguments |= {"receive_own_messages": False, **(options or {})}
+    if interface in _ECHOING:
+        arguments["receive_own_messages"] = False  # it refuses to be told what it does anyway
+    bus = open_backend(interface, channel, arguments)
     if interface == "socketcan":
-        _prepare_socket(bus.socket, channel, fd)
+        try:
+            _prepare_socket(bus.socket, str(channel), fd)
+        except BaseException:
+            close_bus(bus)
+            raise
         return OpenBus(bus, bus.fileno(), f"socketcan:{channel}")
-    pump = Pump(bus)
+    pump = Pump(bus, echoes=interface in _ECHOING or bool(arguments["receive_own_messages"]))
     return OpenBus(bus, pump.loop_end.fileno(), f"{interface}:{channel}", pump)
 
 
@@ -104,6 +117,7 @@ def _prepare_socket(sock: socket.socket, channel: str, fd: bool) -> None:
     sock.setblocking(False)
     sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
     sock.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
+    sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_RECV_OWN_MSGS, 0)  # the loop has no use for what it has sent
     try:
         sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
     except PermissionError:
@@ -114,12 +128,42 @@ def _prepare_socket(sock: socket.socket, channel: str, fd: bool) -> None:
         )
 
 
-class Pump:
-    """Moves frames between a python-can bus and the loop's end of a socketpair, in two threads."""
+class OwnFrames:
+    """Frames sent a moment ago that the bus may give back, each of them once."""
 
-    def __init__(self, bus: Any) -> None:
+    def __init__(self) -> None:
+        self._sent: collections.deque[tuple[float, bytes]] = collections.deque(maxlen=_OWN_FRAMES_MAX)
+        self._lock = threading.Lock()
+
+    def add(self, packet: bytes) -> None:
+        """A frame that is about to be sent."""
+        with self._lock:
+            self._sent.append((time.monotonic(), packet))
+
+    def take(self, packet: bytes) -> bool:
+        """Whether a received frame is one of them; each is taken once."""
+        with self._lock:
+            oldest_s = time.monotonic() - _OWN_FRAME_AGE_S
+            while self._sent and self._sent[0][0] < oldest_s:
+                self._sent.popleft()
+            for index, (_, sent) in enumerate(self._sent):
+                if sent == packet:
+                    del self._sent[index]
+                    return True
+        return False
+
+
+class Pump:
+    """Moves frames between a python-can bus and the loop's end of a socketpair, in two threads.
+
+    Args:
+        echoes: the bus gives back what is sent on it; such frames are no traffic of others and do not go to the loop.
+    """
+
+    def __init__(self, bus: Any, echoes: bool = False) -> None:
         self.bus = bus
         self.lost = ""
+        self._own = OwnFrames() if echoes else None
         self.loop_end, self.bus_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.loop_end.setblocking(False)
         for end in (self.loop_end, self.bus_end):
@@ -143,9 +187,15 @@ class Pump:
     def _from_bus(self) -> None:
         while not self._stopping.is_set():
             try:
-                message = self.bus.recv(timeout=0.1)
-                if message is not None:
-                    self.bus_end.send(pack_frame(message))
+                begin_s = time.monotonic()
+                message = self.bus.recv(timeout=_RECEIVE_WAIT_S)
+                if message is None:
+                    if time.monotonic() - begin_s < _RECEIVE_WAIT_S / 10:  # a backend that does not wait
+                        self._stopping.wait(_PAUSE_S)
+                    continue
+                packet = pack_frame(message)
+                if self._own is None or (message.is_rx and not self._own.take(packet)):
+                    self.bus_end.send(packet)
             except BlockingIOError:
                 continue
             except Exception as error:  # whatever a backend raises means the same here: the bus is gone
@@ -162,7 +212,10 @@ class Pump:
             except OSError:
                 return
             try:
-                self.bus.send(unpack_frame(packet))
+                message = unpack_frame(packet)
+                if self._own is not None:
+                    self._own.add(pack_frame(message))
+                self.bus.send(message)
             except Exception as error:  # as above
                 self._lose(error)
                 return

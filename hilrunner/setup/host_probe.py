@@ -88,7 +88,7 @@ def probe_wake_up(period_ns: int, duration_s: float) -> WakeProbe:
 @contextlib.contextmanager
 def disturbed(cpu: int) -> Iterator[None]:
     """An ordinary task that keeps the kernel busy on the same core while the block runs."""
-    process = subprocess.Popen([sys.executable, "-S", "-c", _DISTURBER], stdin=subprocess.DEVNULL)
+    process = subprocess.Popen([sys.executable, "-I", "-S", "-c", _DISTURBER], stdin=subprocess.DEVNULL)
     try:
         if cpu >= 0:
             with contextlib.suppress(OSError):

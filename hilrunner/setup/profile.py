@@ -161,6 +161,10 @@ class Can(Struct, forbid_unknown_fields=True, frozen=True):
         int, Meta(ge=10_000, le=8_000_000, description="bit/s, where the interface sets it, and for the bus load")
     ] = 1_000_000
     fd: Annotated[bool, Meta(description="CAN FD frames")] = False
+    options: Annotated[
+        dict[str, str | int | float | bool],
+        Meta(max_length=64, description="further arguments of the python-can interface: host, port, data_bitrate, ..."),
+    ] = field(default_factory=dict)
     mapping: Annotated[
         tuple[AxisMapping, ...],
         Meta(max_length=32, description="own DBC: one `[[can.mapping]]` an axis; without it, that of the shipped DBC"),

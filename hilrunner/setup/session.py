@@ -11,6 +11,7 @@ import threading
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +49,7 @@ class RunOptions:
     channel: str | None = None  # None: no bus, a stimulus drives the run
     bitrate: int | None = None
     fd: bool = False
+    bus_options: dict[str, Any] = field(default_factory=dict)  # arguments of the python-can backend
     duration_s: float | None = None
     log_path: Path | None = None  # None: no log
     log_is_new: bool = False  # log_path is an empty file that was made for this run
@@ -117,7 +119,7 @@ class Session:
             self._parcel = pack(self.loaded, options.engine, models=options.engine != status.ENGINE_REFERENCE)
             self.loaded = self._parcel.loaded
         if options.channel is not None:
-            self.bus = open_bus(options.interface, options.channel, options.bitrate, options.fd)
+            self.bus = open_bus(options.interface, options.channel, options.bitrate, options.fd, options.bus_options)
         shape = ring_shape(self.loaded)
         if options.live_port is None and not self._is_recorded() and not self.loaded.profile.crosscheck.enabled:
             self.ring = local_ring(shape)
