@@ -23,9 +23,12 @@ COMMANDS = {
     "doctor": "is this host fit for real time? each finding with its remedy",
     "bench": "plant step, loop and log against named rivals",
     "profiles": "list the profiles that ship",
+    "warm-up": "compile everything that a run of a profile needs, and keep it",
     "lab": "run a command beside a real CAN bus, on kernels without one as well",
     "check": "validate a profile: keys, units, DBC, model, stability, bus load",
 }
+
+COMPILING = ("run", "simulate", "replay", "check", "bench", "warm-up")  # the loop and its plants
 
 EXIT_CODES = """exit codes:
   0 done, verdict passed        1 verdict failed
@@ -46,7 +49,7 @@ def build_parser(command: str) -> "argparse.ArgumentParser":
 
     from hilrunner.commands.options import Parser
 
-    module = importlib.import_module(f"hilrunner.commands.{command}")
+    module = importlib.import_module(f"hilrunner.commands.{command.replace('-', '_')}")
     parser = Parser(
         prog=f"hilrunner {command}",
         description=module.__doc__,
@@ -106,6 +109,18 @@ def _heard(words: list[str]) -> int:
         return streams.PIPE_CLOSED if isinstance(error, BrokenPipeError) else exit_codes.BAD_INPUT
 
 
+def _told_while_compiling(command: str):
+    from hilrunner.commands.compile_progress import CompileProgress
+
+    progress = CompileProgress()
+    if command in COMPILING:
+        from hilrunner.base.compiled_cache import cache_place, loop_is_compiled
+
+        if not loop_is_compiled():
+            progress.announce(cache_place())
+    return progress
+
+
 def _command_of(words: list[str]) -> str:
     return "run" if not words or words[0].startswith("-") else words[0]
 
@@ -126,7 +141,8 @@ def _run_command(words: list[str]) -> int:
         return 2
     try:
         arguments = build_parser(command).parse_args(words)
-        return arguments.main(arguments)
+        with _told_while_compiling(command):
+            return arguments.main(arguments)
     except HilrunnerError as error:
         print(f"hilrunner {command}: {error}", file=sys.stderr)
         return error.exit_code

@@ -238,7 +238,9 @@ def forward_many(words, start, inputs, outputs):
     work = np.zeros(2 * MAX_QUANTITIES)
     failures = 0
     for i in range(inputs.shape[0]):
-        work[: inputs.shape[1]] = inputs[i]
+        for k in range(inputs.shape[1]):  # slices would compile the words of their error, which takes seconds
+            work[k] = inputs[i, k]
         failures += forward_at(words, start, work, 0, MAX_QUANTITIES)
-        outputs[i] = work[MAX_QUANTITIES : MAX_QUANTITIES + outputs.shape[1]]
+        for k in range(outputs.shape[1]):
+            outputs[i, k] = work[MAX_QUANTITIES + k]
     return failures

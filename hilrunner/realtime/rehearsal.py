@@ -47,7 +47,7 @@ def rehearse(bench, shadow, descriptor, tick):
     if waiting < 0:  # the kernel tells of a bus that is gone once, and to whoever asks first
         bench.progress[0]["bus_errno"] = -waiting
     decode_stage(shadow, tick, max(waiting, 0))
-    step_stage(shadow, tick, 1)
+    step_stage(shadow, tick, np.int64(1))  # the type of the loop's own call: compiled once
     encode_stage(shadow, tick)
 
 

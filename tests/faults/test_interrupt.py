@@ -12,6 +12,7 @@ import pytest
 from hilrunner import cli
 from hilrunner.base import exit_codes, status
 from hilrunner.cli import INTERRUPTED
+from hilrunner.commands.compile_progress import PREFIX
 from hilrunner.commands.run_verdict import exit_code_of
 from hilrunner.evidence.reader import read_run
 from hilrunner.setup.arm import local_ring, ring_shape
@@ -46,10 +47,14 @@ def signalled(before: str, words: list, folder: Path, number=signal.SIGINT, igno
     program = PROGRAM.format(before=before, number=int(number))
     # told each time: whoever started the tests in the background may have it ignored
     handler = signal.SIG_IGN if ignored else signal.SIG_DFL
-    return subprocess.run(
+    done = subprocess.run(
         [sys.executable, "-c", program, *words], capture_output=True, text=True, cwd=folder, timeout=200,
         preexec_fn=lambda: signal.signal(number, handler),
     )  # fmt: skip
+    done.stderr = "".join(
+        line for line in done.stderr.splitlines(True) if not line.startswith(PREFIX)
+    )  # not compiled yet
+    return done
 
 
 def quiet(done) -> bool:

@@ -27,7 +27,7 @@ def test_exit_codes_agree_in_readme_help_and_code():
 
 def test_every_command_has_its_file_and_stands_in_the_readme():
     for command in cli.COMMANDS:
-        module = import_module(f"hilrunner.commands.{command}")
+        module = import_module(f"hilrunner.commands.{command.replace('-', '_')}")
         assert callable(module.add_arguments)
         assert callable(module.main)
         assert module.__doc__
