@@ -18,8 +18,9 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.base import status
     from hilrunner.commands.again import load_again
     from hilrunner.setup.arm import arm_offline
-    from hilrunner.setup.axes import engine_named, period_ns, period_s
+    from hilrunner.setup.axes import engine_named, period_ns, period_s, reference_plants
     from hilrunner.setup.host import bus_load_ratio
+    from hilrunner.setup.period_cost import check_period_cost
     from hilrunner.setup.stability_store import stored_stability_limit_s
     from hilrunner.setup.stimulus import profile_stimulus
     from hilrunner.setup.traffic import profile_traffic
@@ -29,6 +30,9 @@ def main(args: argparse.Namespace) -> int:
     stimulus = profile_stimulus(loaded).facts
     engine = engine_named(loaded, args.engine)
     armed = arm_offline(loaded, engine)
+    if loaded.profile.crosscheck.enabled:
+        reference_plants(loaded)
+    cost_s = check_period_cost(armed)
     load = bus_load_ratio(profile_traffic(loaded, period_ns(loaded)), loaded.profile.can.bitrate)
     axes = []
     for axis, plant in zip(loaded.profile.axis, armed.axes.plants, strict=True):
@@ -46,6 +50,7 @@ def main(args: argparse.Namespace) -> int:
         "profile": loaded.profile.name,
         "engine": status.ENGINE_NAMES[engine],
         "axes": axes,
+        "period_cost_us": round(cost_s * 1e6, 1),
         "bus_load_ratio": round(load, 4),
         "dbc": armed.dbc_path.name,
         "stimulus": stimulus.as_dict(),
@@ -60,6 +65,7 @@ def main(args: argparse.Namespace) -> int:
             f"  {axis['name']}: {axis['substeps']} substeps of {axis['step_us']} us; RK4 is stable up to "
             f"{axis['stability_limit_us']} us"
         )
+    print(f"  one period costs {cost_s * 1e6:.1f} us of {period_s(loaded) * 1e6:g} us here, without bus and log")
     for report in armed.axes.model_reports:
         print("  " + report.text().replace("\n", "\n    "))
     print(f"  {found['dbc']}: bus load {100 * load:.1f} % of {loaded.profile.can.bitrate} bit/s")

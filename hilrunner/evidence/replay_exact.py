@@ -16,6 +16,7 @@ from hilrunner.evidence.reader import Run
 from hilrunner.evidence.rebuild import socket_frames, spend_valve_faults, stimulus_of, version_notes
 from hilrunner.realtime.cycle import run_offline
 from hilrunner.setup.arm import arm_offline
+from hilrunner.setup.blocks import blocks
 from hilrunner.setup.profile import LoadedProfile, Profile
 
 BLOCK_TICKS = 20_000
@@ -110,8 +111,7 @@ def replay_exact(
     run(0, 0)  # compile, or load what is compiled, before the clock starts
     begin, begin_processor = time.perf_counter(), time.thread_time()
     done = 0
-    for start in range(0, count, BLOCK_TICKS):
-        stop = min(start + BLOCK_TICKS, count)
+    for start, stop in blocks(count, BLOCK_TICKS):
         done += run(start, stop)
         if done < stop:
             notes.append(f"the state left the finite numbers at tick {int(number[done - 1])}")

@@ -12,6 +12,7 @@ from hilrunner.realtime import faults as fault_kinds
 from hilrunner.realtime.cycle import run_offline
 from hilrunner.setup.arm import arm_offline
 from hilrunner.setup.axes import period_ns
+from hilrunner.setup.blocks import blocks
 from hilrunner.setup.profile import LoadedProfile
 
 _BLOCK_TICKS = 2000
@@ -65,8 +66,7 @@ def _from_frames(run: Run) -> np.ndarray:
     _, forced = known_misses(run, read_facts(run), np.arange(count))
     commands = np.zeros((count, len(run.axis_names)))
     order = [[axis.name for axis in loaded.profile.axis].index(name) for name in run.axis_names]
-    for begin in range(0, count, _BLOCK_TICKS):
-        end = min(count, begin + _BLOCK_TICKS)
+    for begin, end in blocks(count, _BLOCK_TICKS):
         command = records.allocate(records.COMMAND, (end - begin) * len(order)).reshape(end - begin, len(order))
         state = records.allocate(records.STATE, (end - begin) * len(order)).reshape(end - begin, len(order))
         ticks, ones = np.arange(begin, end), np.ones(end - begin, np.int64)

@@ -7,6 +7,7 @@ import numpy as np
 
 from hilrunner.base import records, status
 from hilrunner.base import ring as ring_layout
+from hilrunner.base.errors import ProfileError
 from hilrunner.base.histogram_scale import BUCKET_COUNT
 from hilrunner.base.state_layout import STATE_SIZE
 from hilrunner.base.units import NS_PER_MS, NS_PER_US
@@ -86,7 +87,7 @@ def arm(
     rusage, schedstat_text, usage_before, usage_after = make_usage_scratch()
     bench = Bench(
         config=_config(loaded, stimulus, overrun, schedstat_fd, record),
-        plant=assemble(axes.plants, axis_setup.period_s(loaded)),
+        plant=_assembled(loaded, axes),
         command_table=commands,
         measurement_table=measurements,
         wave=_stack_waves(axes.waves),
@@ -115,6 +116,13 @@ def arm(
         ring=ring,
     )
     return Armed(bench=bench, loaded=loaded, axes=axes, dbc_path=dbc_path(loaded))
+
+
+def _assembled(loaded: LoadedProfile, axes: axis_setup.AxisSet):
+    try:
+        return assemble(axes.plants, axis_setup.period_s(loaded))
+    except ProfileError as error:
+        raise ProfileError(f"{loaded.path}: {error.place}", error.problem, error.limit, error.remedy) from error
 
 
 def arm_offline(loaded: LoadedProfile, engine: int, stimulus: np.ndarray | None = None) -> Armed:

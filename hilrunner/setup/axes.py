@@ -19,6 +19,9 @@ from hilrunner.setup.stability_store import stored_stability_limit_s, stored_sub
 # RK4 this fine is within 1e-6 MPa and 1e-6 mm of IDA on every run of tools/certify_plant; the loop's own step, as long as
 # stability allows, is not on `lift` (docs/plant.md)
 TRUTH_STEP_S = 50e-6
+SUBSTEPS_MAX = (
+    25_000  # RK4 steps a period: some 10 ms of processor time, and the truth's own step in the longest period
+)
 
 
 def period_s(loaded: LoadedProfile) -> float:
@@ -77,7 +80,11 @@ def make_axis_plants(loaded: LoadedProfile, engine: int, understood: list | None
 def reference_plants(loaded: LoadedProfile) -> list[AxisPlant]:
     """The first-principle plants beside the surrogate's, in steps fine enough to judge it: cross-check and replay."""
     plants, period = make_axis_plants(loaded, status.ENGINE_REFERENCE), period_s(loaded)
-    return [replace(plant, substep_count=truth_substep_count(plant, period)) for plant in plants]
+    judges = []
+    for index, plant in enumerate(plants):
+        count = truth_substep_count(plant, period)
+        judges.append(replace(plant, substep_count=_runnable(count, period, f"{loaded.path}: axis[{index}]")))
+    return judges
 
 
 def truth_substep_count(plant: AxisPlant, period: float) -> int:
@@ -164,22 +171,52 @@ def _networks(loaded: LoadedProfile, axis: Axis, place: str, engine: int, parame
 
 
 def _substeps(loaded: LoadedProfile, axis: Axis, plant: AxisPlant, place: str) -> int:
-    """Chosen substeps, or the profile's, refused when RK4 would be unstable with them."""
+    """Chosen substeps, or the profile's, refused when RK4 would be unstable with them or when no period could hold them."""
     period = period_s(loaded)
     surrogate = plant.engine != status.ENGINE_REFERENCE
     wanted = axis.surrogate_substeps if surrogate else axis.reference_substeps
+    limit_s = _stability_limit_s(plant, place)
     if wanted == 0:
-        return stored_substep_count(plant, period)
-    limit_s = stored_stability_limit_s(plant)
+        return _runnable(stored_substep_count(plant, period), period, place)
     if period / wanted > limit_s:
         key = "surrogate_substeps" if surrogate else "reference_substeps"
         raise ProfileError(
             f"{place}.{key}",
-            f"{wanted} substeps of {period / wanted * 1e6:.1f} us are unstable for RK4",
-            limit=f"steps up to {limit_s * 1e6:.1f} us, so at least {int(np.ceil(period / limit_s))} substeps",
+            f"{wanted} substeps of {period / wanted * 1e6:.3g} us are unstable for RK4",
+            limit=f"steps up to {limit_s * 1e6:.3g} us, so at least {int(np.ceil(period / limit_s))} substeps",
             remedy="raise it, or 0 to let hilrunner choose",
         )
     return wanted
+
+
+def _stability_limit_s(plant: AxisPlant, place: str) -> float:
+    try:
+        limit_s = stored_stability_limit_s(plant)
+    except (np.linalg.LinAlgError, ValueError, ZeroDivisionError, OverflowError):
+        limit_s = 0.0
+    if not limit_s > _SHORTEST_STEP_S:
+        raise ProfileError(
+            place, f"RK4 is stable up to {limit_s:.1e} s only", f"at least {_SHORTEST_STEP_S:g} s", _SOFTER
+        )
+    return limit_s
+
+
+def _runnable(count: int, period: float, place: str) -> int:
+    if count <= SUBSTEPS_MAX:
+        return count
+    raise ProfileError(
+        place,
+        f"needs {count} RK4 steps of {period / count * 1e6:.2g} us in each period of {period * 1e6:g} us to be stable",
+        f"at most {SUBSTEPS_MAX}",
+        _SOFTER,
+    )
+
+
+_SHORTEST_STEP_S = 1e-12
+_SOFTER = (
+    "soften the stiffest part (small dead or line volumes on large areas, small masses on stiff stops, a large bulk modulus), "
+    "or shorten the period"
+)
 
 
 def _placed_load(load: Load, place: str) -> plant_load.LoadTable:

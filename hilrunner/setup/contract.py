@@ -12,7 +12,7 @@ from hilrunner.setup.axes import period_ns
 from hilrunner.setup.database import load_database
 from hilrunner.setup.mapping import HEAVE_MESSAGE, AxisMapping, default_mapping
 from hilrunner.setup.profile import LoadedProfile, SealedFile
-from hilrunner.setup.profile_files import find_file, sealed_file
+from hilrunner.setup.profile_files import find_file, is_file, sealed_file
 from hilrunner.setup.signals import load_signals
 
 DBC_SIZE_MAX_BYTES = 64 * 1024 * 1024
@@ -24,7 +24,7 @@ def dbc_path(loaded: LoadedProfile) -> Path:
     if found is not None:
         return found.path or _unpacked(Path(loaded.profile.can.dbc).name, found.data).path
     path = find_file(loaded, loaded.profile.can.dbc, resources.firmware_interface_folder())
-    if not path.is_file():
+    if not is_file(path):
         raise DbcError(
             f"{loaded.path}: can.dbc", f"no such file: {loaded.profile.can.dbc}", remedy="name a DBC beside the profile"
         )

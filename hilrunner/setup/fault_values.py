@@ -55,6 +55,11 @@ def strength_key(fault: "Fault") -> str | None:
     return _STRENGTH.get(fault.kind)
 
 
+def threshold_key(quantity: str) -> str:
+    """The key that holds a threshold on a quantity."""
+    return "threshold" + _unit_of(quantity)[0]
+
+
 def fault_value_si(fault: "Fault") -> float:
     """The strength of a fault: SI unit of its quantity, a factor, or a valve command -1..1; 0 where the profile gives none."""
     if fault.value is not None:  # SI, as profiles had it before
@@ -82,14 +87,14 @@ def old_keys(faults: "tuple[Fault, ...]", place: str) -> list[str]:
         if fault.value is not None and wanted:
             told.append(f"{place}: fault[{index}].value is in SI units; remedy: write '{wanted}'")
         if fault.when is not None and fault.when.threshold is not None and _unit_of(fault.when.quantity)[0]:
-            wanted = "threshold" + _unit_of(fault.when.quantity)[0]
+            wanted = threshold_key(fault.when.quantity)
             told.append(f"{place}: fault[{index}].when.threshold is in SI units; remedy: write '{wanted}'")
     return told
 
 
 def _check_condition(condition: "FaultCondition", place: str) -> None:
     _check_quantity(condition.quantity, f"{place}.quantity")
-    wanted = "threshold" + _unit_of(condition.quantity)[0]
+    wanted = threshold_key(condition.quantity)
     given = [key for key in _THRESHOLDS if getattr(condition, key) is not None]
     if not given:
         raise ProfileError(place, f"'{wanted}' is missing", remedy="add it")

@@ -16,7 +16,7 @@ from hilrunner.plant.schedule import SCHEDULES
 from hilrunner.setup import effective, model_file, resources
 from hilrunner.setup.contract import read_dbc
 from hilrunner.setup.profile import LoadedProfile, SealedFile
-from hilrunner.setup.profile_files import find_file, sealed_file
+from hilrunner.setup.profile_files import find_file, is_file, sealed_file
 
 STIMULUS_ATTACHMENT = "stimulus.npy"
 HISTOGRAM_ATTACHMENT = "rt_histograms.json"  # added by the recorder at the end
@@ -127,7 +127,7 @@ class _Packing:
             return name
         found = sealed_file(self.loaded, name) if self.loaded.sealed and name in self.loaded.sealed else None
         path = self.loaded.path.parent / name
-        if found is None and self.loaded.sealed is None and path.is_file():
+        if found is None and self.loaded.sealed is None and is_file(path):
             if path.stat().st_size > _SCHEDULE_SIZE_MAX_BYTES:
                 return name
             found = SealedFile(path.read_bytes(), str(path))

@@ -14,7 +14,7 @@ def find_file(loaded: LoadedProfile, name: str, shipped_folder: Path) -> Path:
     if loaded.sealed is not None:
         raise _not_in_log(loaded, name)
     for candidate in (loaded.path.parent / name, loaded.path.parent / Path(name).name):
-        if _is_file(candidate):
+        if is_file(candidate):
             return candidate
     return shipped_folder / name
 
@@ -39,7 +39,8 @@ def _not_in_log(loaded: LoadedProfile, name: str) -> ProfileError:
     )
 
 
-def _is_file(path: Path) -> bool:
+def is_file(path: Path) -> bool:
+    """Whether a regular file is there; a name that no file system takes is none."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # a name too long for any file system

@@ -1,6 +1,5 @@
 """A schedule through `realtime.cycle.run_offline`: what `hilrunner simulate` and the figures of other commands rest on."""
 
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -11,10 +10,10 @@ from hilrunner.realtime.cycle import run_offline
 from hilrunner.realtime.socketcan import FRAME_SIZE_FD
 from hilrunner.setup.arm import Armed, arm_offline
 from hilrunner.setup.axes import period_ns
+from hilrunner.setup.blocks import blocks
 from hilrunner.setup.profile import LoadedProfile
 
 _CHUNK_TICKS_MAX = 1000
-_CHUNK_S = 0.1  # wall time between two looks at the keyboard: compiled code hears no Ctrl-C
 
 
 @dataclass(frozen=True)
@@ -48,21 +47,17 @@ def simulate(
     command = records.allocate(records.COMMAND, count * axis_count).reshape(count, axis_count)
     state = records.allocate(records.STATE, count * axis_count).reshape(count, axis_count)
     frames, sizes = np.zeros((0, FRAME_SIZE_FD), np.uint8), np.zeros(0, np.int64)
-    done, chunk = 0, 1
-    while done < count:
-        end = min(count, done + chunk)
-        begin_s = time.perf_counter()
-        n = end - done
+    done = 0
+    for begin, end in blocks(count, _CHUNK_TICKS_MAX):
+        n = end - begin
         zeros, ones = np.zeros(n, np.int64), np.ones(n, np.int64)
         ran = run_offline(
-            armed.bench, np.arange(done, end), ones, zeros, zeros, frames, sizes, np.zeros(n + 1, np.int64),
-            command[done:end], state[done:end],
+            armed.bench, np.arange(begin, end), ones, zeros, zeros, frames, sizes, np.zeros(n + 1, np.int64),
+            command[begin:end], state[begin:end],
         )  # fmt: skip
         done += ran
         if ran < n:
             break
-        quick = time.perf_counter() - begin_s < _CHUNK_S / 2
-        chunk = min(2 * chunk, _CHUNK_TICKS_MAX) if quick else max(1, chunk // 2)
         if progress:
             progress(done / count)
     return Simulated(armed, engine, tick[:done], command[:done], state[:done])

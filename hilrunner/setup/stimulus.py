@@ -19,7 +19,7 @@ from hilrunner.setup.axes import period_ns, period_s
 from hilrunner.setup.can_log import CanLog, kind_of_log, read_can_log
 from hilrunner.setup.contract import signal_tables
 from hilrunner.setup.profile import CommandRules, LoadedProfile
-from hilrunner.setup.profile_files import sealed_file
+from hilrunner.setup.profile_files import is_file, sealed_file
 from hilrunner.setup.schedule_file import load_schedule, parse_schedule
 from hilrunner.setup.stimulus_facts import StimulusFacts
 from hilrunner.setup.text import Contents, decoded, read_contents, unpacked
@@ -43,7 +43,7 @@ def profile_schedule(loaded: LoadedProfile) -> str:
     if name in SCHEDULES or loaded.sealed is not None:
         return name
     beside = loaded.path.parent / name
-    return str(beside) if beside.is_file() else name
+    return str(beside) if is_file(beside) else name
 
 
 def profile_stimulus(loaded: LoadedProfile, duration_s: float | None = None, channel: str | None = None) -> Stimulus:

@@ -17,6 +17,7 @@ from hilrunner.realtime import encode
 from hilrunner.setup.axes import AxisSet
 from hilrunner.setup.contract import axis_mappings, dbc_path, signal_tables
 from hilrunner.setup.database import find_message, load_database
+from hilrunner.setup.fault_values import old_keys
 from hilrunner.setup.load_span import load_warnings
 from hilrunner.setup.profile import LoadedProfile
 from hilrunner.setup.start_values import start_value_notes
@@ -27,7 +28,8 @@ _STANDARD_DEVIATIONS = 4.0  # of a Gaussian sea, beyond which it goes once in fo
 
 def bench_warnings(loaded: LoadedProfile, axes: AxisSet) -> list[str]:
     """What a bench accepts and a person should know: loads that end short, signals that cannot carry their quantity."""
-    return load_warnings(loaded, axes.plants) + wire_warnings(loaded, axes) + _unknown_references(loaded)
+    found = load_warnings(loaded, axes.plants) + wire_warnings(loaded, axes) + _unknown_references(loaded)
+    return found + old_keys(loaded.profile.fault, str(loaded.path))
 
 
 def _unknown_references(loaded: LoadedProfile) -> list[str]:
