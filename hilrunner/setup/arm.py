@@ -20,6 +20,7 @@ from hilrunner.realtime.socketcan import make_mailbox
 from hilrunner.setup import axes as axis_setup
 from hilrunner.setup.contract import dbc_path, sent_signal_names, signal_tables
 from hilrunner.setup.fault_values import fault_value_si, threshold_si
+from hilrunner.setup.load_faults import check_load_faults
 from hilrunner.setup.profile import DeadlineLimit, Fault, LoadedProfile
 
 INBOX_FRAMES = 1024  # most frames one tick takes; the rest waits in the socket
@@ -119,6 +120,7 @@ def arm(
 
 
 def _assembled(loaded: LoadedProfile, axes: axis_setup.AxisSet):
+    check_load_faults(loaded, axes.plants)
     try:
         return assemble(axes.plants, axis_setup.period_s(loaded))
     except ProfileError as error:

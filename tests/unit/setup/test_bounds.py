@@ -1,6 +1,7 @@
 """No number of a profile makes work or state without bound: it is refused with its range, and what is slow hears Ctrl-C."""
 
 import json
+import os
 import time
 from collections import Counter
 
@@ -13,6 +14,7 @@ from hilrunner import cli
 from hilrunner.base import status
 from hilrunner.base.errors import ProfileError
 from hilrunner.setup import blocks, period_cost
+from hilrunner.setup.arm import arm_offline
 from hilrunner.setup.axes import SUBSTEPS_MAX, make_axis_plants, reference_plants
 from hilrunner.setup.profile import LoadedProfile, load_profile, parse_profile
 
@@ -86,10 +88,8 @@ def test_a_profile_is_a_small_regular_file(tmp_path):
         file.truncate(1 << 30)
     with pytest.raises(ProfileError, match="at most 4 MiB"):
         load_profile(str(path))
-    import os
-
     os.mkfifo(tmp_path / "pipe.toml")
-    with pytest.raises(ProfileError, match="no such file"):
+    with pytest.raises(ProfileError, match="a pipe or a device"):
         load_profile(str(tmp_path / "pipe.toml"))
 
 
@@ -106,6 +106,14 @@ def test_blocks_of_compiled_work_stay_short_whatever_a_tick_costs(monkeypatch):
             sizes.append(stop - start)
         assert done == 500
         assert max(sizes) * cost_s <= max(2 * blocks.BLOCK_S, cost_s)
+
+
+def test_a_load_that_no_stop_could_bear_is_refused(tmp_path):
+    """It would press the rod so deep into its stop that a chamber is empty, and the state leaves the finite numbers."""
+    text = GOOD + '[[fault]]\nkind = "load-factor"\naxis = "a"\nat_s = 0.0\nload_factor = {}\n'
+    arm_offline(loaded_from(text.format(1.5), tmp_path), status.ENGINE_REFERENCE)
+    with pytest.raises(ProfileError, match=r"fault\[0\].load_factor: -80 times .* kN presses the rod .* either way"):
+        arm_offline(loaded_from(text.format(-80.0), tmp_path), status.ENGINE_REFERENCE)
 
 
 def test_drawn_profiles_run_or_are_refused_in_one_line(tmp_path):
