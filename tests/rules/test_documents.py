@@ -4,11 +4,14 @@ import re
 import tomllib
 from importlib import import_module
 
+import msgspec
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 from hilrunner import cli
 from hilrunner.base import exit_codes
+from hilrunner.setup import profile_page
+from hilrunner.setup.profile_errors import metas
 from tests.rules import tree
 
 README = (tree.ROOT / "README.md").read_text()
@@ -59,3 +62,17 @@ def test_lock_files_satisfy_the_declared_dependencies():
             version = pins.get(canonicalize_name(requirement.name))
             assert version is not None, f"{requirement}: not in the lock file; run `make lock`"
             assert requirement.specifier.contains(version, prereleases=True), f"{requirement}: {version} is locked"
+
+
+def test_the_page_of_profile_keys_is_what_the_format_says():
+    text = (tree.ROOT / "docs" / "profiles.md").read_text("utf-8")
+    assert text == profile_page.page(), "run tools/profile_keys --write"
+
+
+def test_every_profile_key_has_a_unit_and_a_meaning():
+    for _, _, struct in profile_page._TABLES:
+        for one in msgspec.structs.fields(struct):
+            told = [meta.description for meta in metas(one.type) if meta.description]
+            assert told, f"{struct.__name__}.{one.encode_name}: Meta(description=...) is what docs/profiles.md prints"
+    keys = ("offset_mmps", "relief_mm3ps_mpa", "valve_pa_mm3ps_sqrtmpa", "gain")
+    assert [profile_page.unit_of(key) for key in keys] == ["mm/s", "mm^3/s/MPa", "mm^3/s/MPa^0.5", ""]
