@@ -6,11 +6,11 @@ import numpy as np
 
 from hilrunner.base import status
 from hilrunner.base.compiled import entry
-from hilrunner.plant.hydraulics import opening_ratio
 from hilrunner.plant.line import valve_conductances
 from hilrunner.plant.model import AxisPlant
 from hilrunner.plant.spool import cbv_conductance
-from hilrunner.plant.surrogate import return_inputs, supply_inputs
+from hilrunner.plant.network import FORM_PINNED, FORM_SHARE
+from hilrunner.plant.surrogate import X_AT, flow_inputs, plain_flow_inputs, return_inputs, supply_inputs
 
 BINS = 40
 _CENTRE = 0.05  # |command| below which lift's lines are solved exactly, without networks
@@ -108,21 +108,29 @@ def _lift_inputs_many(parameters, states, commands, supply, returned):
 
 
 def _paper_inputs(plant: AxisPlant, states: np.ndarray, commands: np.ndarray) -> dict[str, np.ndarray]:
-    stroke_m = float(plant.parameters["spool_stroke_m"][0])
-    opening = np.empty(len(states))
-    _openings(np.ascontiguousarray(states[:, 5]), stroke_m, opening)
+    """Inputs of the one network of the article's circuit, in the quantities its recipe and form ask for (plant.surrogate)."""
     command = np.maximum(commands, 0.0)
-    flow = np.column_stack((states[:, 2], states[:, 3], command))
-    flow[command <= 0.0] = np.nan
-    return {
-        "flow": flow,
-        "modulating": np.column_stack((flow, opening)),
-        "rates": np.column_stack((states[:, :4], command)),
-    }
+    found = {"rates": np.column_stack((states[:, :4], command))}
+    mlp = plant.networks.networks.get("flow")
+    if mlp is not None:
+        flow = np.full((len(states), 4), np.nan)
+        _flow_inputs_many(plant.parameters, np.ascontiguousarray(states), command, mlp.form, flow)
+        found["flow"] = flow[:, : mlp.input_count]
+    return found
 
 
 @entry
-def _openings(positions_m, stroke_m, out):
-    """Port opening of a counterbalance spool at n positions."""
-    for i in range(positions_m.shape[0]):
-        out[i] = opening_ratio(positions_m[i], stroke_m)
+def _flow_inputs_many(parameters, states, commands, form, flow):
+    """Inputs of the flow network at n states; rows at which the network is not asked are left as they are."""
+    prm = parameters[0]
+    work = np.zeros(32)
+    for i in range(states.shape[0]):
+        cbv_si = cbv_conductance(prm, states[i, 5])
+        if commands[i] <= 0.0 or (form == FORM_PINNED and cbv_si != prm["cbv_si"]):
+            continue
+        if form == FORM_SHARE:
+            flow_inputs(prm, states[i, 2], states[i, 3], cbv_si, commands[i], work)
+        else:
+            plain_flow_inputs(prm, states[i, 2], states[i, 3], cbv_si, commands[i], work)
+        for k in range(4):
+            flow[i, k] = work[X_AT + k]
