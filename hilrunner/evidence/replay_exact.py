@@ -11,10 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from hilrunner.base import records
+from hilrunner.base.records import TICK_FLAG_FORCED_FAIL_SAFE
 from hilrunner.evidence.facts import RunFacts
 from hilrunner.evidence.reader import Run
 from hilrunner.evidence.rebuild import socket_frames, spend_valve_faults, stimulus_of, version_notes
 from hilrunner.realtime.cycle import run_offline
+from hilrunner.record.schemas import FORCED_FAIL_SAFE
 from hilrunner.setup.arm import arm_offline
 from hilrunner.setup.blocks import blocks
 from hilrunner.setup.profile import LoadedProfile, Profile
@@ -165,15 +167,27 @@ def known_misses(run: Run, facts: RunFacts, number: np.ndarray) -> tuple[np.ndar
     late = run.miss[run.miss["lateness_ns"] > 0]
     ticks = late["tick"].astype(np.int64)
     known = np.searchsorted(np.sort(ticks), number, side="left").astype(np.int64)
+    return known, _forced(run, facts, number, late)
+
+
+def _forced(run: Run, facts: RunFacts, number: np.ndarray, late: np.ndarray) -> np.ndarray:
+    """1 where a deadline limit forced the fail-safe just before a tick, int64: as the loop flagged it.
+
+    A log from before that flag is judged anew from its misses.
+    """
+    flagged = (run.tick["flags"][: len(number)] & TICK_FLAG_FORCED_FAIL_SAFE) != 0
+    if flagged.any() or FORCED_FAIL_SAFE in run.schemas.get("/rt/tick", ""):
+        return flagged.astype(np.int64)
     forced = np.zeros(len(number), np.int64)
     profile = facts.profile
     if profile is None or not len(late):
-        return known, forced
+        return forced
+    ticks = late["tick"].astype(np.int64)
     row = np.searchsorted(number, ticks)
     row = row[row < len(number)]
     next_row = row[_limit_acted(profile, late[: len(row)], row)] + 1
     forced[next_row[next_row < len(number)]] = 1
-    return known, forced
+    return forced
 
 
 def _limit_acted(profile: Profile, late: np.ndarray, row: np.ndarray) -> np.ndarray:

@@ -8,8 +8,8 @@ from hilrunner.base import status
 from hilrunner.base.compiled import entry
 from hilrunner.plant.line import valve_conductances
 from hilrunner.plant.model import AxisPlant
-from hilrunner.plant.spool import cbv_conductance
 from hilrunner.plant.network import FORM_PINNED, FORM_SHARE
+from hilrunner.plant.spool import cbv_conductance
 from hilrunner.plant.surrogate import X_AT, flow_inputs, plain_flow_inputs, return_inputs, supply_inputs
 
 BINS = 40

@@ -39,11 +39,14 @@ _MEANINGS = {
 
 _FRAME_STATUS = ", ".join(f"{i} {name}" for i, name in enumerate(status.FRAME_STATUS_NAMES)) + ", 255 none"
 
+# said of the bit in the log: a reader knows by these words that the log tells where a limit forced the fail-safe
+FORCED_FAIL_SAFE = "fail-safe forced just before this tick by a deadline limit"
+
 # the same field name with another meaning by message
 _MEANINGS_BY_MESSAGE = {
-    ("Tick", "flags"): "bit 0: late (a miss), bit 1: near a miss",
+    ("Tick", "flags"): f"bit 0: late (a miss), bit 1: near a miss, bit 2: {FORCED_FAIL_SAFE}",
     ("State", "flags"): ", ".join(f"bit {i}: {name}" for i, name in enumerate(status.FLAG_NAMES)),
-    ("Check", "flags"): "bit 0: out of tolerance",
+    ("Check", "flags"): "bit 0: out of tolerance, bit 1: restarted behind a gap, no errors at this tick",
     ("CanFrame", "flags"): "bit 0: FD, bit 1: BRS, bit 7: sent by the bench",
     ("Command", "status"): "last frame of this tick for this axis: " + _FRAME_STATUS,
     ("CanFrame", "status"): "received frames: " + _FRAME_STATUS,

@@ -51,6 +51,24 @@ def test_every_bit_is_the_same(recorded):
     assert result.exact.notes == ()
 
 
+def test_a_forced_fail_safe_is_where_the_loop_flagged_it(recorded, tmp_path):
+    """The rows of /rt/miss may be lost: what a limit did is not judged anew from them."""
+    path, _ = recorded
+    bare = copy_with(path, tmp_path / "bare.mcap", keep=lambda topic: topic != "/rt/miss")
+    assert exact(bare).exact.identical
+
+
+def test_a_log_from_before_the_flag_is_judged_anew(recorded, tmp_path):
+    path, _ = recorded
+    place = records.TICK.fields["flags"][1] - records.MESSAGE_OFFSET
+
+    def unflagged(topic, log_time, data):
+        return data if topic != "/rt/tick" else data[:place] + bytes([data[place] & ~4]) + data[place + 1 :]
+
+    old = copy_with(path, tmp_path / "old.mcap", edit=unflagged, schema=lambda text: text.replace(b"forced", b"fprced"))
+    assert exact(old).exact.identical
+
+
 @pytest.mark.parametrize("axis_field", ["rod_position_m", "line_b_pressure_pa"])
 def test_one_flipped_bit_is_named(recorded, tmp_path, axis_field):
     path, arrays = recorded

@@ -107,6 +107,7 @@ def make_run(
     number = tick["tick"].astype(np.int64)
     rx, frames, sizes, first = _frames(plan if stimulus is None else replace(plan, silent=(0, plan.tick_count)), tick)
     miss, misses, forced = _misses(plan, number)
+    tick["flags"][forced == 1] |= records.TICK_FLAG_FORCED_FAIL_SAFE
     command = records.allocate(records.COMMAND, len(tick)).reshape(-1, 1)
     state = records.allocate(records.STATE, len(tick)).reshape(-1, 1)
     periods = 1 + tick["skipped_count"].astype(np.int64)
