@@ -17,6 +17,8 @@ COMMANDS = {
     "run": "the main job: a firmware on CAN drives the simulated actuator (default when the first word is an option)",
     "simulate": "the plant alone: no CAN, no wall clock",
     "report": "latency report and verdict of a run",
+    "sign": "a signature beside a log: whose key vouches for it",
+    "verify": "a log's own checksums, and the signature beside it",
     "replay": "bit-exact surrogate replay, and the DAE beside it",
     "train": "sample, solve, train and export a surrogate",
     "reproduce": "the article's figures and tables beside ours: accuracy, creep, training, time, memory",

@@ -15,6 +15,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--junit", type=Path, metavar="FILE", help="the verdict as JUnit XML")
     parser.add_argument("--hgrm", type=Path, metavar="FOLDER", help="percentile distributions as HdrHistogram text")
     parser.add_argument(
+        "--signed-by",
+        type=Path,
+        metavar="FILE",
+        help="public key that must have signed the log (RUN.mcap.sig; extra: sign)",
+    )
+    parser.add_argument(
         "--reference",
         type=Path,
         metavar="FILE.csv",
@@ -32,7 +38,7 @@ def main(args: argparse.Namespace) -> int:
     if args.hgrm:
         check_folder(args.hgrm)
 
-    report = evidence.build_report(args.log, args.reference)
+    report = evidence.build_report(args.log, args.reference, signed_by=args.signed_by)
     written = []
     if args.html:
         from hilrunner.evidence.report_html import report_html

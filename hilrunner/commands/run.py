@@ -54,6 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     run.add_argument("--overwrite", action="store_true", help="let --log replace a file that exists")
     run.add_argument("--no-log", action="store_true", help="write no log")
     run.add_argument(
+        "--sign", type=Path, metavar="KEY", help="sign the log with this ed25519 key (RUN.mcap.sig; extra: sign)"
+    )
+    run.add_argument(
         "--live",
         nargs="?",
         type=options.port,

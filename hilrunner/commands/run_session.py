@@ -11,11 +11,12 @@ from pathlib import Path
 import msgspec
 
 from hilrunner.base import status
-from hilrunner.base.errors import UsageError
+from hilrunner.base.errors import HilrunnerError, UsageError
 from hilrunner.commands.again import load_again, stimulus_named
 from hilrunner.commands.run_summary import finite, summarise_run
 from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
 from hilrunner.commands.run_verdict import exit_code_of, verdict_of_run
+from hilrunner.commands.sign import renew_signature
 from hilrunner.commands.streams import is_terminal, spare_the_work
 from hilrunner.commands.targets import claim_free_log, claim_log
 from hilrunner.setup import host
@@ -33,15 +34,37 @@ def execute(args: argparse.Namespace, begin_mono_ns: int) -> int:
     loaded = _with_options(load_again(args.profile), args)
     check_duration(args.duration, loaded)
     options = _options(args, loaded)
+    key = _signing_key(args)
     session = Session(loaded, options, begin_mono_ns)
     before = _stop_on_signals(session)
     try:
-        return _watched(session, args)
+        return _watched(session, args, key)
     finally:
         _set_signals(before)
 
 
-def _watched(session: Session, args: argparse.Namespace) -> int:
+def _signed(result, key) -> str:
+    """What there is to tell of the log's signature; a log that is gone is told by the verdict."""
+    if result.log_path is None or not result.log_path.is_file():
+        return ""
+    try:
+        return renew_signature(result.log_path, key)
+    except (HilrunnerError, OSError) as error:
+        return f"not signed: {error}"
+
+
+def _signing_key(args: argparse.Namespace):
+    """The key of --sign, None without one; refused before anything starts."""
+    if args.sign is None:
+        return None
+    if args.no_log:
+        raise UsageError("--sign", "there is no log to sign", remedy="leave --no-log out")
+    from hilrunner.evidence.signature import load_private_key
+
+    return load_private_key(args.sign)
+
+
+def _watched(session: Session, args: argparse.Namespace, key) -> int:
     """Start, watch, finish, tell; the exit code."""
     session.start()
     with spare_the_work():
@@ -56,7 +79,12 @@ def _watched(session: Session, args: argparse.Namespace) -> int:
     result = session.finish()
     verdict = verdict_of_run(result)
     code = exit_code_of(result, verdict)
-    summary = summarise_run(result, code) | {"verdict": finite(verdict), "broken_limits": verdict["causes"]}
+    signed = _signed(result, key)
+    summary = summarise_run(result, code) | {
+        "verdict": finite(verdict),
+        "broken_limits": verdict["causes"],
+        "signed": signed,
+    }
     with spare_the_work():
         if args.json:
             print(json.dumps(summary))

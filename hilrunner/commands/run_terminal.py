@@ -120,6 +120,8 @@ def print_summary(summary: dict) -> None:
     for text in summary["engine_errors"]:
         print(f"  {text}")
     _print_verdict(summary["verdict"])
+    if summary.get("signed"):
+        print(f"  {summary['signed']}")
     print(f"  exit code {summary['exit_code']}")
 
 

@@ -21,6 +21,7 @@ from hilrunner.evidence.judging import subject_of
 from hilrunner.evidence.latency import Latency, measure_latency
 from hilrunner.evidence.plant_use import AxisUse, measure_plant
 from hilrunner.evidence.reader import Columns, Event, Run, read_run
+from hilrunner.evidence.signature import signature_judgements
 from hilrunner.evidence.verdict import Verdict, judge
 from hilrunner.setup.csv_text import number, read_table, shown
 from hilrunner.setup.limits import SETTLING_SPEED_MMPS
@@ -95,14 +96,18 @@ class RunnerKnows:
 
 
 def build_report(
-    path: str | Path, reference_path: str | Path | None = None, knows: RunnerKnows | None = None
+    path: str | Path,
+    reference_path: str | Path | None = None,
+    knows: RunnerKnows | None = None,
+    signed_by: Path | None = None,
 ) -> Report:
     """Read, measure and judge a run.
 
     Args:
         path: the log, in any state.
         reference_path: CSV of the motion the rod was to follow (see `read_reference`), in place of the profile's wave.
-        knows: what the runner adds to the log of the run that it has just ended.
+        knows: what the runner adds to the log of the run that it has just ended; it has no signature yet.
+        signed_by: file of the public key that must have signed the log; None: a signature beside it is verified, if there is one.
 
     Raises LogError when the log or the reference cannot be read at all.
     """
@@ -129,7 +134,7 @@ def build_report(
         axes=axes,
         checks=checks,
         coverage=subject.measured.coverage,
-        verdict=judge(subject),
+        verdict=judge(subject).joined(signature_judgements(Path(path), signed_by) if knows is None else []),
         attachments={
             name: (len(one.data), hashlib.sha256(one.data).hexdigest()) for name, one in run.attachments.items()
         },

@@ -128,7 +128,7 @@ class Verdict:
 
 def judge(subject: Subject) -> Verdict:
     """Judge a run. A log that does not match its own checksums has no verdict but that it is damaged."""
-    damage = _judge_damage(subject.mismatches)
+    damage = damage_judgement(subject.mismatches)
     if damage.outcome != PASSED:
         return Verdict([damage])
     judged = [damage] if subject.source == LOG else []
@@ -153,7 +153,7 @@ def said(key: str, doc: str, holds: bool | None, detail: str, code: int = exit_c
     return Judgement(key, doc, 1.0, value, outcome, detail, code=code, by_default=True)
 
 
-def _judge_damage(mismatches: tuple[str, ...]) -> Judgement:
+def damage_judgement(mismatches: tuple[str, ...]) -> Judgement:
     more = f" and {len(mismatches) - 1} more" if len(mismatches) > 1 else ""
     detail = f"{mismatches[0]}{more}" if mismatches else ""
     return said(
