@@ -14,9 +14,17 @@ class _Collector(logging.Handler):
         self._words.append(record.getMessage())
 
 
+def silence() -> None:
+    """Warnings that nobody collects go nowhere: without any handler, `logging` itself would print them on stderr."""
+    root = logging.getLogger()
+    if not root.handlers:
+        root.addHandler(logging.NullHandler())
+
+
 @contextlib.contextmanager
 def collected(library: str) -> Iterator[list[str]]:
     """The warnings and errors of a library's loggers while the block runs; nothing of them is printed."""
+    silence()
     logger, words = logging.getLogger(library), []
     handler, propagate = _Collector(words), logger.propagate
     logger.addHandler(handler)
