@@ -172,6 +172,10 @@ def _check_table(table: Table, place: str, row_place: Callable[[int], str]) -> N
         raise ProfileError(
             row_place(index), f"time_s is {times_s[index]:g}", "a finite number of seconds", "correct it"
         )
+    if times_s[0] < 0.0:
+        raise ProfileError(
+            row_place(0), f"time_s is {times_s[0]:g}", "0 s or later", "count the times from the start of the run"
+        )
     for index in np.flatnonzero(~(np.abs(commands) <= 1.0 + _SLACK))[:1]:
         remedy = "fill the cell, or leave the row out" if math.isnan(commands[index]) else _FRACTION
         raise ProfileError(row_place(index), f"commands reach {commands[index]:g}", "-1 to 1", remedy)

@@ -17,6 +17,7 @@ import numpy as np
 
 from hilrunner.base import ring as ring_layout
 from hilrunner.base import status
+from hilrunner.base.plain_text import plain_line
 from hilrunner.base.units import M_PER_MM, NS_PER_S, PA_PER_MPA
 from hilrunner.realtime.loop import NO_BUS, run_loop
 from hilrunner.realtime.miss import open_schedstat
@@ -288,7 +289,7 @@ class Session:
         tables = run_metadata(self.loaded, files, self.options.engine, self.grants, self.host_report)
         if self.options.stimulus_facts is not None:
             facts = self.options.stimulus_facts
-            tables["run"] |= {"stimulus": facts.text(), "stimulus_warnings": "; ".join(facts.warnings)}
+            tables["run"] |= {"stimulus": facts.text(), "stimulus_warnings": plain_line("; ".join(facts.warnings))}
         return tables
 
     def _check_config(self) -> CheckConfig | None:

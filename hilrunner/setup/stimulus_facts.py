@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass, field
 
+from hilrunner.base.plain_text import plain_line
+
 
 @dataclass(frozen=True)
 class StimulusFacts:
@@ -25,7 +27,7 @@ class StimulusFacts:
     warnings: tuple[str, ...] = ()
 
     def text(self) -> str:
-        """One line: name, form, span, frames, valid commands, channels, longest gap."""
+        """One line: name, form, span, frames, valid commands, channels, longest gap; names in it harmless, also in a log."""
         parts = [f"{self.span_s:.3f} s"]
         if self.frame_count:
             parts.append(f"{self.frame_count} frames")
@@ -36,7 +38,7 @@ class StimulusFacts:
         if math.isfinite(self.longest_gap_s) and self.longest_gap_s > 0.0:
             parts.append(f"longest gap {self.longest_gap_s:.3f} s")
         form = self.form if self.stamps == "absolute" else f"{self.form} with stamps {self.stamps}"
-        return f"stimulus {self.name}: {form}, {', '.join(parts)}; {self.tick_count} periods"
+        return plain_line(f"stimulus {self.name}: {form}, {', '.join(parts)}; {self.tick_count} periods")
 
     def as_dict(self) -> dict:
         """The same for JSON; what does not apply is null."""

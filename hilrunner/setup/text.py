@@ -14,6 +14,7 @@ from hilrunner.base.errors import HilrunnerError
 
 MOST_BYTES = 2 << 30  # of a file once unpacked: a day of CAN at full load as text; more is no input but a mistake
 _GZIP_MAGIC = b"\x1f\x8b"
+_ZIP_MAGIC = b"PK\x03\x04"
 _GZIP_WINDOW = 16 + zlib.MAX_WBITS  # zlib: expect a gzip header
 _STEP_BYTES = 16 << 20
 # UTF-32's mark begins with that of UTF-16, so it is looked for first
@@ -79,6 +80,8 @@ def decoded(data: bytes) -> str:
     Raises:
         ValueError: not a text; says why.
     """
+    if data.startswith(_ZIP_MAGIC):
+        raise ValueError("it is a spreadsheet or a zip archive, not a text: export it as CSV, or unpack it")
     for mark, encoding in _MARKS:
         if data.startswith(mark):
             return _lines_ended(_strict(data[len(mark) :], encoding))

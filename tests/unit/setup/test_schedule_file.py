@@ -59,6 +59,8 @@ RAMPS = 'kind = "ramps"\nduration_s = 60.0\nramps = [[30.001, 0.0, {0}], [30.002
         ("a.csv", "time_s;valve_command\n0;0\n1.000,5;0\n", "row 3"),
         ("a.csv", "time_s,valve_command\n0,0\n0,1\n1,1\n", "row 3: the times do not increase: 0 s after 0 s"),
         ("a.csv", "time_s,valve_command\n0,0\nnan,1\n1,1\n", "row 3: time_s is nan"),
+        ("a.csv", "time_s,valve_command\n-1,0.5\n1,0\n", "row 2: time_s is -1"),
+        ("a.csv", "PK\x03\x04", "spreadsheet or a zip archive.*CSV"),
         ("a.csv", "time_s,valve_command\n", "duration_s"),
         ("a.csv", "time_s,valve_command\n0,0\n1,1.5\n", "row 3: commands reach 1.5"),
         ("a.csv", "time_s,valve_command\n0,0\n1,nan\n", "row 3: commands reach nan.*fill the cell"),

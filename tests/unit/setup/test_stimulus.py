@@ -1,6 +1,7 @@
 """A CAN log in place of the bus: the newest valid command of each tick is held; a log that cannot serve is refused in one sentence."""
 
 import base64
+import dataclasses
 import gzip
 
 import numpy as np
@@ -189,3 +190,9 @@ def test_a_table_of_frames_is_no_schedule_and_a_schedule_may_be_packed(tmp_path,
     packed = tmp_path / "schedule.csv.gz"
     packed.write_bytes(gzip.compress(b"time_s;valve_command\r\n0;0,25\r\n0,002;0\r\n"))
     assert read_stimulus(str(packed), loaded).commands[:, 0].tolist() == [0.25, 0.25]
+
+
+def test_a_name_in_another_encoding_does_no_harm_to_a_log(tmp_path, loaded):
+    facts = read_stimulus("steps", loaded, 1.0).facts
+    named = dataclasses.replace(facts, name="\udcfcber\n.csv")
+    assert len(named.text().encode("utf-8").splitlines()) == 1
