@@ -8,6 +8,7 @@ from hilrunner.evidence.latency import Latency, measure_latency
 from hilrunner.evidence.limit_measures import Measured
 from hilrunner.evidence.plant_use import AxisUse, measure_plant
 from hilrunner.evidence.reader import Run
+from hilrunner.evidence.requirement_use import judged_requirements
 from hilrunner.evidence.verdict import Subject, Verdict, judge
 from hilrunner.setup.limits import SETTLING_SPEED_MMPS
 from hilrunner.setup.run_manifest import STIMULUS_ATTACHMENT
@@ -37,6 +38,7 @@ def subject_of(
         mismatches=run.mismatches,
         missing_fields=run.missing_fields,
         silent_axes=silent_axes(run, facts, axes, names),
+        requirements=judged_requirements(run, facts),
     )
 
 

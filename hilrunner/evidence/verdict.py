@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from hilrunner.base import exit_codes, status
 from hilrunner.evidence.coverage import Coverage
 from hilrunner.evidence.limit_measures import EXPLAINING, Measured, measure
+from hilrunner.requirements.verdict import Judged
 from hilrunner.setup.limits import DEFAULTS, KEYS, unit_of
 
 # of one judgement, and of the whole: a run without limits has nothing that it could pass
@@ -73,6 +74,7 @@ class Subject:
     missing_fields: dict[str, tuple[str, ...]] | None = None
     silent_axes: tuple[str, ...] | None = None  # never got a valid command; None: no firmware was meant to send one
     source: str = LOG
+    requirements: tuple[Judged, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,18 @@ def judge(subject: Subject) -> Verdict:
         if key in EXPLAINING or _does_not_concern(key, subject):
             continue
         judged.append(_judge_limit(key, limit, subject))
+    judged += [_of_requirement(one) for one in subject.requirements]
     return Verdict(judged)
+
+
+def _of_requirement(one: Judged) -> Judgement:
+    """A requirement beside the limits: its value is its margin, which must not be negative."""
+    if one.outcome == NOT_JUDGED:
+        value, detail = math.nan, one.detail
+    else:
+        value, detail = one.margin, f"decided at {one.time_s:g} s by: {one.decided_by or one.formula}"
+    doc = one.text or one.formula
+    return Judgement(f"requirement {one.id}", doc, 0.0, value, one.outcome, detail, one.unit)
 
 
 def said(key: str, doc: str, holds: bool | None, detail: str, code: int = exit_codes.VERDICT_FAILED) -> Judgement:

@@ -109,7 +109,12 @@ class _Parser:
 
     def refuse(self, at: int, problem: str, limit: str = "", remedy: str = "") -> None:
         shown = self.text[max(at - 20, 0) : at] + " >>> " + self.text[at : at + 30]
-        raise UsageError(f"{self.place}, character {at + 1}", f"{problem} (at {shown.strip()!r})", limit, remedy or "mend the formula")
+        raise UsageError(
+            f"{self.place}, character {at + 1}",
+            f"{problem} (at {shown.strip()!r})",
+            limit,
+            remedy or "mend the formula",
+        )
 
     @property
     def token(self) -> _Token:
@@ -246,9 +251,16 @@ class _Parser:
         words = self.signals[left.name].words
         token = self.token
         if operator.text not in ("==", "!=") or token.kind != "name" or token.text not in words:
-            self.refuse(token.at, f"{left.name} holds one of several words", ", ".join(words), f"write: {left.name} == {words[0]}")
+            self.refuse(
+                token.at,
+                f"{left.name} holds one of several words",
+                ", ".join(words),
+                f"write: {left.name} == {words[0]}",
+            )
         self.take()
-        return Condition(left.name, float(words.index(token.text)), operator.text == "!=", self.text[at : self.token.at].strip())
+        return Condition(
+            left.name, float(words.index(token.text)), operator.text == "!=", self.text[at : self.token.at].strip()
+        )
 
     def _same(self, left: Expression, right: Expression, operator: _Token, verb: str) -> None:
         if left.dimension != right.dimension:

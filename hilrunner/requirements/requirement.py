@@ -19,11 +19,19 @@ _SIZE_MAX_BYTES = 4 << 20
 class Written(Struct, forbid_unknown_fields=True, frozen=True):
     """A requirement as it stands in a profile or a requirements file."""
 
-    id: Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^\S+$")]
-    formula: Annotated[str, Meta(min_length=1, max_length=20_000)]
-    text: Annotated[str, Meta(max_length=4_000)] = ""  # in words, for people
-    source: Annotated[str, Meta(max_length=400)] = ""  # standard and section, or the document it is from
-    weight: Annotated[float, Meta(gt=0)] = 1.0  # how much it counts where several are added up
+    id: Annotated[str, Meta(min_length=1, max_length=64, pattern=r"^\S+$", description="its name, without spaces")]
+    formula: Annotated[
+        str,
+        Meta(
+            min_length=1,
+            max_length=20_000,
+            description="signal temporal logic over logged signals, see docs/requirements.md",
+        ),
+    ]
+    text: Annotated[str, Meta(max_length=4_000, description="what it asks for, in words")] = ""
+    source: Annotated[
+        str, Meta(max_length=400, description="where it comes from: a standard and its section, a document")
+    ] = ""
 
 
 class _File(Struct, forbid_unknown_fields=True, frozen=True):
@@ -37,7 +45,6 @@ class Requirement:
     id: str
     text: str
     source: str
-    weight: float
     written: str
     formula: Formula
 
@@ -55,7 +62,7 @@ def understand(written: tuple[Written, ...], signals: Mapping[str, SignalKind], 
             raise UsageError(f"{place}: requirement {one.id}", "this id is given twice", remedy="give each its own id")
         seen.add(one.id)
         formula = parse_formula(one.formula, signals, f"{place}: requirement {one.id}")
-        found.append(Requirement(one.id, one.text, one.source, one.weight, one.formula, formula))
+        found.append(Requirement(one.id, one.text, one.source, one.formula, formula))
     return found
 
 
@@ -75,4 +82,4 @@ def read_requirements(path: Path) -> tuple[Written, ...]:
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise UsageError(str(path), f"not TOML: {error}", remedy="mend the syntax at that line") from None
     except msgspec.ValidationError as error:
-        raise UsageError(str(path), str(error), "id, formula, text, source, weight", "correct that key") from None
+        raise UsageError(str(path), str(error), "id, formula, text, source", "correct that key") from None

@@ -69,8 +69,6 @@ def judge_requirement(requirement: Requirement, signals: Mapping[str, np.ndarray
     )
 
 
-def judge_all(
-    requirements: Sequence[Requirement], signals: Mapping[str, np.ndarray], period_s: float
-) -> list[Judged]:
+def judge_all(requirements: Sequence[Requirement], signals: Mapping[str, np.ndarray], period_s: float) -> list[Judged]:
     """Judge every requirement, in order."""
     return [judge_requirement(one, signals, period_s) for one in requirements]

@@ -29,7 +29,9 @@ def _slide(values, begin, end, filtered, accumulated, nothing):
     if size == 1:
         return shifted
     # the filter's window is centred: move it so that it begins at each sample
-    return filtered(shifted, size, mode="constant", cval=nothing, origin=-(size // 2) if size % 2 else -(size // 2 - 1) - 1)
+    return filtered(
+        shifted, size, mode="constant", cval=nothing, origin=-(size // 2) if size % 2 else -(size // 2 - 1) - 1
+    )
 
 
 def until(held: np.ndarray, reached: np.ndarray, begin: int, end: int | None) -> np.ndarray:

@@ -16,6 +16,7 @@ import msgspec
 from msgspec import Meta, Struct, field
 
 from hilrunner.base.errors import ProfileError
+from hilrunner.requirements.requirement import Written as Requirement
 from hilrunner.setup import resources
 from hilrunner.setup.mapping import AxisMapping
 from hilrunner.setup.profile_check import check_numbers, check_relations
@@ -308,6 +309,10 @@ class Profile(Struct, forbid_unknown_fields=True, frozen=True):
     ] = field(default_factory=dict)
     stimulus: Annotated[Stimulus, Meta(description="commands without a bus")] = Stimulus()
     fault: Annotated[tuple[Fault, ...], Meta(max_length=256, description="injected faults, one `[[fault]]` each")] = ()
+    requirement: Annotated[
+        tuple[Requirement, ...],
+        Meta(max_length=1000, description="what a run must show beside the limits, one `[[requirement]]` each"),
+    ] = ()
 
 
 class SealedFile(Struct, frozen=True):

@@ -4,7 +4,7 @@ import json
 import math
 from typing import TYPE_CHECKING, Any
 
-from hilrunner.base.errors import ProfileError
+from hilrunner.base.errors import ProfileError, UsageError
 from hilrunner.setup.fault_values import check_fault
 from hilrunner.setup.limits import read_limits
 
@@ -36,6 +36,7 @@ def check_relations(profile: "Profile", place: str) -> None:
     _check_mapping(profile, place)
     for index, fault in enumerate(profile.fault):
         _check_fault(fault, names, f"{place}: fault[{index}]")
+    _check_requirements(profile, names, place)
     period_ms = profile.bench.period_us / 1000
     for index, axis in enumerate(profile.axis):
         if axis.command.stale_after_ms < period_ms:
@@ -45,6 +46,15 @@ def check_relations(profile: "Profile", place: str) -> None:
                 limit=f">= {period_ms} ms",
                 remedy="raise it to the firmware's cycle time times the frames it may lose",
             )
+
+
+def _check_requirements(profile: "Profile", names: list[str], place: str) -> None:
+    from hilrunner.setup.requirement_signals import requirements_of
+
+    try:
+        requirements_of(profile.requirement, names, place)
+    except UsageError as error:
+        raise ProfileError(error.place, error.problem, error.limit, error.remedy) from None
 
 
 def _check_range(axis: "Axis", place: str) -> None:

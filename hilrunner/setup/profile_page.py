@@ -45,6 +45,7 @@ _TABLES = (
     ("`[stimulus]`", "", format_.Stimulus),
     ("`[[fault]]`", "", format_.Fault),
     ("`[fault.when]`", "", format_.FaultCondition),
+    ("`[[requirement]]`", "", format_.Requirement),
 )
 
 
