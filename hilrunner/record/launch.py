@@ -93,7 +93,7 @@ class RecorderHandle:
         self._errors = errors
         self._summary: dict | None = None
 
-    def wait_ready(self, timeout_s: float = 10.0) -> None:
+    def wait_ready(self, timeout_s: float = 60.0) -> None:
         """Until the log is open; LogError with the recorder's reason when it refuses, dies or takes too long."""
         deadline_s = time.monotonic() + timeout_s
         while (ready := ring_layout.word(self._ring, ring_layout.WORD_RECORDER_READY)) != READY_OPEN:
@@ -112,7 +112,7 @@ class RecorderHandle:
         """None while the recorder lives, else its exit code."""
         return self.process.poll()
 
-    def finish(self, timeout_s: float = 30.0) -> dict:
+    def finish(self, timeout_s: float = 60.0) -> dict:
         """Wait for the log to be finished and return the recorder's summary (see docs/log.md).
 
         The caller has stored WORD_EXIT_REASON before. A recorder that died or hangs gives {"error": [...]} instead.

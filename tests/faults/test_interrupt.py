@@ -1,5 +1,9 @@
-"""Ctrl-C and SIGTERM at any moment of a command: quiet, the documented exit code, nothing half-written."""
+"""Ctrl-C and SIGTERM at any moment of a command: quiet, the documented exit code, nothing half-written.
 
+Both signals have one handler, so each moment is tried with one of them; tests/long tries both at random moments.
+"""
+
+import itertools
 import signal
 import subprocess
 import sys
@@ -61,15 +65,14 @@ def quiet(done) -> bool:
     return (done.returncode, done.stdout, done.stderr) == (INTERRUPTED, "", TOLD)
 
 
-@pytest.mark.parametrize("number", NUMBERS)
 @pytest.mark.parametrize(
-    ("words", "module"),
+    ("words", "module", "number"),
     [
-        (["run", *STIMULUS], "argparse"),
-        (["run", *STIMULUS], "numpy"),
-        (STIMULUS, "numba"),
-        (["report", "run.mcap", "--html", "page.html"], "numba"),
-        (["check", "amc-lift"], "msgspec"),
+        (["run", *STIMULUS], "argparse", signal.SIGTERM),
+        (["run", *STIMULUS], "numpy", signal.SIGINT),
+        (STIMULUS, "numba", signal.SIGTERM),
+        (["report", "run.mcap", "--html", "page.html"], "numba", signal.SIGINT),
+        (["check", "amc-lift"], "msgspec", signal.SIGTERM),
     ],
 )
 def test_while_a_command_is_imported(words, module, number, tmp_path):
@@ -77,8 +80,10 @@ def test_while_a_command_is_imported(words, module, number, tmp_path):
     assert quiet(done) and not list(tmp_path.iterdir()), done
 
 
-@pytest.mark.parametrize("number", NUMBERS)
-@pytest.mark.parametrize("function", ["create_ring", "build_axes", "run_files", "arm", "run_loop"])
+@pytest.mark.parametrize(
+    ("function", "number"),
+    list(zip(["create_ring", "build_axes", "run_files", "arm", "run_loop"], itertools.cycle(NUMBERS), strict=False)),
+)
 def test_while_a_run_is_built(function, number, tmp_path):
     """The log's name is taken by then, the loop's thread waits, at the end the recorder has opened the log."""
     before = f"""

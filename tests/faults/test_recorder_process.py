@@ -130,7 +130,8 @@ def test_a_full_ring_is_counted_and_told_and_the_rest_is_there(tmp_path):
     while producer.word(ring.WORD_TICK_READ) < 2000:
         time.sleep(0.005)
     handle.process.send_signal(signal.SIGSTOP)
-    time.sleep(0.05)
+    while Path(f"/proc/{handle.process.pid}/stat").read_text().rpartition(")")[2].split()[0] != "T":
+        time.sleep(0.005)
     for _ in range(20):
         producer.publish(100)
     dropped = producer.word(ring.WORD_TICK_DROPPED)

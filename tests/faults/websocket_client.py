@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+import select
 import socket
 import struct
 
@@ -69,6 +70,10 @@ class LiveClient:
         """Ask for every channel; the subscription has the channel's id."""
         wanted = [{"id": number, "channelId": number} for number in self.channels]
         self._send(1, json.dumps({"op": "subscribe", "subscriptions": wanted}).encode())
+
+    def hears(self, wait_s: float) -> bool:
+        """True once the server has said something more."""
+        return bool(self._buffer or select.select([self._socket], [], [], wait_s)[0])
 
     def message(self) -> tuple[str, int, bytes]:
         """(topic, log time in ns, payload) of the next message; EOFError when the server is gone."""
