@@ -7,7 +7,8 @@ KERNEL_NONE = 0
 KERNEL_VECTOR = 1  # [25, 10, 20] tanh, linear output
 KERNEL_GENERIC = 2
 KERNEL_FOREIGN = 3
-KERNEL_NAMES = ("none", "vector", "generic", "onnxruntime")
+KERNEL_GRAPH = 4
+KERNEL_NAMES = ("none", "vector", "generic", "onnxruntime", "graph")
 
 # in which quantities a flow network of circuit paper is asked
 FORM_SHARE = 0  # p1, root of p2, share of the spool: what `hilrunner train` makes

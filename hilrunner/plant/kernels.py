@@ -8,7 +8,7 @@ kernels inlined, each function above them would compile them again.
 import os
 
 from hilrunner.base import compiled
-from hilrunner.plant import foreign_call, generic_kernel, vector_kernel
+from hilrunner.plant import foreign_call, generic_kernel, graph_kernel, vector_kernel
 from hilrunner.plant.head import (
     HEAD_ACTIVATION,
     HEAD_FOREIGN,
@@ -19,6 +19,7 @@ from hilrunner.plant.head import (
     HEAD_SIZE,
     KERNEL_FOREIGN,
     KERNEL_GENERIC,
+    KERNEL_GRAPH,
     KERNEL_VECTOR,
 )
 
@@ -61,7 +62,15 @@ def _foreign(network, x, y):
     return foreign_call.forward_foreign(words, HEAD_FOREIGN, HEAD_SIZE, x_values, 0, y_values, 0, inputs, outputs)
 
 
-_SOURCES = {KERNEL_VECTOR: _vector, KERNEL_GENERIC: _generic, KERNEL_FOREIGN: _foreign}
+def _graph(network, x, y):
+    words = carray(network, (_EVERYTHING,))
+    inputs, outputs = int(words[HEAD_INPUTS]), int(words[HEAD_OUTPUTS])
+    return graph_kernel.forward_graph(
+        words, HEAD_SIZE, carray(x, (_EVERYTHING,)), 0, inputs, carray(y, (_EVERYTHING,)), 0, outputs
+    )
+
+
+_SOURCES = {KERNEL_VECTOR: _vector, KERNEL_GENERIC: _generic, KERNEL_FOREIGN: _foreign, KERNEL_GRAPH: _graph}
 _compiled: dict = {}
 
 
@@ -109,6 +118,8 @@ def _call_interpreted(words, start, work, x_at, y_at, address_at):
             words, start + HEAD_SIZE, start + HEAD_ROWS, start + HEAD_ACTIVATION, int(words[start + HEAD_LAYERS]),
             work, x_at, work, y_at,
         )  # fmt: skip
+    if kernel == KERNEL_GRAPH:
+        return graph_kernel.forward_graph(words, start + HEAD_SIZE, work, x_at, inputs, work, y_at, outputs)
     return foreign_call.forward_foreign(
         words, start + HEAD_FOREIGN, start + HEAD_SIZE, work, x_at, work, y_at, inputs, outputs
     )

@@ -1,8 +1,8 @@
 """Small neural networks in compiled code: where their numbers lie and how one is evaluated.
 
-A `NetworkBank` holds every network of every axis in flat arrays (constant after arming). Three kernels:
-the vector kernel for three tanh layers of [25, 10, 20], a generic one for any other multilayer perceptron,
-and a foreign one that calls through an address (onnxruntime in the loop).
+A `NetworkBank` holds every network of every axis in flat arrays (constant after arming). Four kernels:
+the vector kernel for three tanh layers of [25, 10, 20], a generic one for any other multilayer perceptron, one that runs a
+program for networks with branches, and a foreign one that calls through an address (onnxruntime in the loop).
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hilrunner.base import compiled
-from hilrunner.plant import foreign_call, generic_kernel, vector_kernel
+from hilrunner.plant import foreign_call, generic_kernel, graph_kernel, vector_kernel
 from hilrunner.plant.foreign_call import FOREIGN_SIZE
 from hilrunner.plant.generic_kernel import ACTIVATION_LINEAR, ACTIVATION_TANH
 from hilrunner.plant.head import (
@@ -33,6 +33,7 @@ from hilrunner.plant.head import (
     HEAD_SIZE,
     KERNEL_FOREIGN,
     KERNEL_GENERIC,
+    KERNEL_GRAPH,
     KERNEL_VECTOR,
     MAX_QUANTITIES,
 )
@@ -97,6 +98,9 @@ class Mlp:
     foreign: np.ndarray | None = None
     foreign_layout: np.ndarray | None = None  # foreign_call.layout
     form: int = FORM_SHARE
+    program: np.ndarray | None = (
+        None  # graph_kernel's words, for a network that is no chain; weights and biases are empty then
+    )
 
     @property
     def input_count(self) -> int:
@@ -116,6 +120,8 @@ class Mlp:
     @property
     def parameter_count(self) -> int:
         """Weights and biases."""
+        if self.program is not None:
+            return graph_kernel.constant_count(self.program)
         return sum(w.size for w in self.weights) + sum(b.size for b in self.biases)
 
     @property
@@ -123,6 +129,8 @@ class Mlp:
         """Which compiled kernel evaluates it."""
         if self.foreign is not None:
             return KERNEL_FOREIGN
+        if self.program is not None:
+            return KERNEL_GRAPH
         tanh = (ACTIVATION_TANH,) * 3 + (ACTIVATION_LINEAR,)
         if self.layer_sizes[1:-1] == vector_kernel.HIDDEN and self.activations == tanh:
             return KERNEL_VECTOR
@@ -182,6 +190,8 @@ def _head(network: Mlp) -> np.ndarray:
     if network.foreign is not None:
         head[HEAD_FOREIGN : HEAD_FOREIGN + FOREIGN_SIZE] = network.foreign
         return head
+    if network.program is not None:
+        return head
     head[HEAD_LAYERS] = len(network.weights)
     head[HEAD_ROWS : HEAD_ROWS + len(network.layer_sizes)] = network.layer_sizes
     head[HEAD_ACTIVATION : HEAD_ACTIVATION + len(network.activations)] = network.activations
@@ -196,6 +206,8 @@ def _pack(network: Mlp) -> np.ndarray:
         straight = (range(network.input_count), np.ones(network.input_count))
         plain = foreign_call.layout(*straight, range(network.output_count), np.ones(network.output_count))
         return plain if network.foreign_layout is None else network.foreign_layout
+    if network.kernel == KERNEL_GRAPH:
+        return network.program
     return generic_kernel.pack(network.weights, network.biases, *scaling)
 
 

@@ -18,6 +18,7 @@ from hilrunner.plant.network import RECIPE_NAMES, ROLES, Mlp, SurrogateNetworks,
 from hilrunner.setup import model_file, model_rows, model_text
 from hilrunner.setup.model_graph import Chain, Graph
 from hilrunner.setup.model_onnxruntime import Part, bind, part_of, reasons
+from hilrunner.setup.model_program import Program, finished, needs_program, program_of
 
 COMPARED_POINTS = 256
 DOUBLE_TOLERANCE_RATIO = 1e-10  # of the outputs' range over the compared points: rounding, nothing else
@@ -121,10 +122,13 @@ def _networks(place: str, model, text: model_text.ModelText, in_loop: bool) -> t
             networks[network.role] = _opaque(network, text)
             lines.append(f"  {network.role}: run by onnxruntime, {len(network.inputs)} -> {len(network.outputs)}")
             continue
-        chain = graph.chain(output)
+        chain, last = program_of(graph, output) if needs_program(graph, output) else (graph.chain(output), None)
         if network.input and chain.input != network.input:
             raise ModelError(place, f"output '{output}' comes from input '{chain.input}'", f"'{network.input}'")
-        mlp = _in_si(place, chain, network, text)
+        if last is None:
+            mlp = _in_si(place, chain, network, text)
+        else:
+            mlp = _program_in_si(place, chain, last, network, text)
         _check_finite(place, network.role, mlp)
         networks[network.role] = mlp
         lines.append(
@@ -157,13 +161,7 @@ def _ranges(network: model_text.NetworkText, order: list[int]) -> tuple[np.ndarr
 def _in_si(place: str, chain: Chain, network: model_text.NetworkText, text: model_text.ModelText) -> Mlp:
     """A chain with its units turned into SI and its columns into the reduced model's order."""
     widths = (chain.input_count, len(chain.biases[-1]))
-    named = (len(network.inputs), len(network.outputs))
-    if widths != named:
-        raise ModelError(
-            f"{place}: network '{network.role}'",
-            f"takes {widths[0]} and gives {widths[1]} numbers, its metadata names {named[0]} and {named[1]}",
-            "the same width",
-        )
+    _check_widths(place, network, widths)
     inputs, outputs = _order(network, text)
     in_factor, out_factor = _factors(network.inputs), _factors(network.outputs)
     full = np.ones(widths[0])
@@ -191,6 +189,32 @@ def _in_si(place: str, chain: Chain, network: model_text.NetworkText, text: mode
     )
 
 
+def _check_widths(place: str, network: model_text.NetworkText, widths: tuple[int, int]) -> None:
+    named = (len(network.inputs), len(network.outputs))
+    if widths != named:
+        raise ModelError(
+            f"{place}: network '{network.role}'",
+            f"takes {widths[0]} and gives {widths[1]} numbers, its metadata names {named[0]} and {named[1]}",
+            "the same width",
+        )
+
+
+def _program_in_si(place: str, program: Program, last: int, network: model_text.NetworkText, text) -> Mlp:
+    """A network with branches, its units turned into SI and its columns into the reduced model's order."""
+    _check_widths(place, network, (program.input_count, program.output_count))
+    inputs, outputs = _order(network, text)
+    low, high = _ranges(network, inputs)
+    words = finished(program, last, inputs, _factors(network.inputs), outputs, _factors(network.outputs))
+    ones_in, ones_out = np.ones(len(inputs)), np.ones(len(outputs))
+    return Mlp(
+        (), (), (), 0.0 * ones_in, ones_in, ones_out, 0.0 * ones_out, low, high,
+        input_names=tuple(network.inputs[column]["name"] for column in inputs),
+        output_names=tuple(network.outputs[column]["name"] for column in outputs),
+        form=model_text.form_of(text.circuit, text.recipe, network)[0],
+        program=words,
+    )  # fmt: skip
+
+
 def _opaque(network: model_text.NetworkText, text: model_text.ModelText) -> Mlp:
     """A network known by its ends only, for onnxruntime."""
     inputs, outputs = _order(network, text)
@@ -208,6 +232,7 @@ def _check_finite(place: str, role: str, mlp: Mlp) -> None:
     named += [(f"bias of layer {i}", value) for i, value in enumerate(mlp.biases)]
     named += [("input scaling", mlp.input_scale), ("input offset", mlp.input_offset)]
     named += [("output scaling", mlp.output_scale), ("output offset", mlp.output_offset)]
+    named += [] if mlp.program is None else [("constants", mlp.program)]
     for name, value in named:
         bad = np.count_nonzero(~np.isfinite(value))
         if bad:

@@ -26,7 +26,7 @@ from hilrunner.plant.generic_kernel import (
 from hilrunner.plant.head import MAX_QUANTITIES
 from hilrunner.setup.model_constants import constants_of, numbers
 
-_ACTIVATIONS = {
+ACTIVATIONS = {
     "Tanh": ACTIVATION_TANH,
     "Sigmoid": ACTIVATION_SIGMOID,
     "Relu": ACTIVATION_RELU,
@@ -36,10 +36,10 @@ _ACTIVATIONS = {
     "Swish": ACTIVATION_SILU,
 }
 # change no number of one row
-_PASSED = {"Identity", "Dropout", "Cast", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Transpose"}
+PASSED = {"Identity", "Dropout", "Cast", "Flatten", "Reshape", "Squeeze", "Unsqueeze", "Transpose"}
 
 
-_KNOWN = {*_ACTIVATIONS, *_PASSED, "MatMul", "Gemm", "Add", "Sub", "Mul", "Div", "Scaler", "Conv", "BatchNormalization"}
+_KNOWN = {*ACTIVATIONS, *PASSED, "MatMul", "Gemm", "Add", "Sub", "Mul", "Div", "Scaler", "Conv", "BatchNormalization"}
 
 
 @dataclass
@@ -93,8 +93,8 @@ class Graph:
         return ModelError(
             f"{self.place}: {where}",
             why,
-            "MatMul, Gemm, Conv over the whole row, Add, Sub, Mul, Div, BatchNormalization, Scaler and "
-            + ", ".join(_ACTIVATIONS),
+            "MatMul, Gemm, Conv over the whole row, Add, Sub, Mul, Div, Concat, BatchNormalization, LayerNormalization and "
+            + ", ".join(ACTIVATIONS),
             "run it with --engine onnx, or export the network without this node",
         )
 
@@ -111,7 +111,7 @@ class Graph:
             node = self.nodes[index]
             steps.append(index)
             sources = [source for source in node.input if source and source not in self.constants]
-            gate = self._gate(index)
+            gate = self.gate(index)
             if gate is not None:
                 sources = [gate]
             elif len(sources) != 1:
@@ -121,7 +121,7 @@ class Graph:
                 raise self.refuse(index, "the graph goes in a circle")
         return name, steps[::-1]
 
-    def _gate(self, index: int) -> str | None:
+    def gate(self, index: int) -> str | None:
         """For the Mul of x * Sigmoid(x) (SiLU written out): x, else None."""
         node = self.nodes[index]
         if node.op_type != "Mul" or any(source in self.constants for source in node.input):
@@ -152,18 +152,16 @@ class Graph:
     def _read(self, chain: Chain, index: int) -> None:
         node = self.nodes[index]
         kind = node.op_type
-        if kind in _PASSED:
-            _pass(self, chain, index)
+        if kind in PASSED:
+            pass_row(self, chain, index)
             return
-        if kind in _ACTIVATIONS:
-            _check_activation(self, index)
-            self._activate(chain, index, _ACTIVATIONS[kind])
-        elif self._gate(index) is not None:
+        if kind in ACTIVATIONS:
+            check_activation(self, index)
+            self._activate(chain, index, ACTIVATIONS[kind])
+        elif self.gate(index) is not None:
             self._activate(chain, index, ACTIVATION_SILU)
-        elif kind in ("MatMul", "Gemm"):
+        elif kind in ("MatMul", "Gemm", "Conv"):
             _dense(self, chain, index)
-        elif kind == "Conv":
-            _convolution(self, chain, index)
         elif kind == "BatchNormalization":
             _batch_normalisation(self, chain, index)
         elif kind in ("Add", "Sub", "Mul", "Div"):
@@ -187,7 +185,7 @@ def _row_shape(value) -> tuple[int, ...] | None:
     return tuple(row) if row and min(row) > 0 else None
 
 
-def _pass(graph: Graph, chain: Chain, index: int) -> None:
+def pass_row(graph: Graph, chain: Chain, index: int) -> None:
     """A node that may change the shape of a row and never the order of its numbers."""
     node, shape = graph.nodes[index], chain.shape
     if node.op_type == "Transpose":
@@ -220,7 +218,7 @@ def _reshaped(kind: str, wanted: np.ndarray, shape: tuple[int, ...] | None) -> t
         return None
 
 
-def _check_activation(graph: Graph, index: int) -> None:
+def check_activation(graph: Graph, index: int) -> None:
     node = graph.nodes[index]
     values = {attribute.name: attribute for attribute in node.attribute}
     for name in ("alpha", "beta"):
@@ -230,7 +228,7 @@ def _check_activation(graph: Graph, index: int) -> None:
         raise graph.refuse(index, "the tanh approximation of Gelu is not ported")
 
 
-def _vector(graph: Graph, chain: Chain, index: int, name: str) -> np.ndarray:
+def row_vector(graph: Graph, chain: Chain, index: int, name: str) -> np.ndarray:
     """A constant that meets the signal number by number, float64[columns] or float64[1]."""
     value = numbers(graph.constants[name])
     if value.ndim <= 1 or (value.ndim == 2 and value.shape[0] == 1):
@@ -248,7 +246,7 @@ def _elementwise(graph: Graph, chain: Chain, index: int) -> None:
     places = [place for place, name in enumerate(node.input) if name in graph.constants]
     if len(places) != 1:
         raise graph.refuse(index, "has no constant side")
-    value = _vector(graph, chain, index, node.input[places[0]])
+    value = row_vector(graph, chain, index, node.input[places[0]])
     kind, first = node.op_type, places[0] == 0
     if kind == "Add":
         _scale(chain, np.ones(1), value)
@@ -274,8 +272,11 @@ def _scale(chain: Chain, scale: np.ndarray, offset: np.ndarray) -> None:
     chain.scale, chain.offset = before * scale, shift * scale + offset
 
 
-def _dense(graph: Graph, chain: Chain, index: int) -> None:
+def dense_of(graph: Graph, chain: Chain, index: int) -> tuple[np.ndarray, np.ndarray | None, tuple[int, ...]]:
+    """The layer that a MatMul, Gemm or Conv is: weight float64[out, in], bias float64[out], float64[1] or None, and its rows' shape."""
     node = graph.nodes[index]
+    if node.op_type == "Conv":
+        return _convolution(graph, chain, index)
     weight_name = node.input[1]
     if weight_name not in graph.constants:
         raise graph.refuse(index, "multiplies two signals")
@@ -288,16 +289,17 @@ def _dense(graph: Graph, chain: Chain, index: int) -> None:
         weight = weight.T if not ("transB" in values and values["transB"].i) else weight
         weight = weight * (values["alpha"].f if "alpha" in values else 1.0)
         if len(node.input) > 2 and node.input[2]:
-            bias = _vector(graph, chain, index, node.input[2]) * (values["beta"].f if "beta" in values else 1.0)
+            bias = row_vector(graph, chain, index, node.input[2]) * (values["beta"].f if "beta" in values else 1.0)
     else:
         weight = weight.T
     if weight.ndim != 2:
         raise graph.refuse(index, f"weight of shape {weight.shape} is not a matrix")
-    _add_layer(graph, chain, index, weight, bias)
+    return weight, bias, (len(weight),)
 
 
-def _add_layer(graph: Graph, chain: Chain, index: int, weight: np.ndarray, bias: np.ndarray | None) -> None:
-    """One more layer: weight float64[out, in], bias float64[out], float64[1] or None."""
+def _dense(graph: Graph, chain: Chain, index: int) -> None:
+    """One more layer."""
+    weight, bias, shape = dense_of(graph, chain, index)
     width = len(chain.biases[-1]) if chain.biases else chain.input_count or weight.shape[1]
     if weight.shape[1] != width:
         raise ModelError(
@@ -314,10 +316,10 @@ def _add_layer(graph: Graph, chain: Chain, index: int, weight: np.ndarray, bias:
         chain.scale = chain.offset = None
     chain.weights.append(weight)
     chain.biases.append(bias)
-    chain.shape = (len(weight),)
+    chain.shape = shape
 
 
-def _convolution(graph: Graph, chain: Chain, index: int) -> None:
+def _convolution(graph: Graph, chain: Chain, index: int) -> tuple[np.ndarray, np.ndarray | None, tuple[int, ...]]:
     """A convolution whose kernel covers the whole row is a layer: that is how MATLAB writes fully connected ones."""
     node = graph.nodes[index]
     kernel = graph.constants.get(node.input[1]) if len(node.input) > 1 else None
@@ -335,8 +337,7 @@ def _convolution(graph: Graph, chain: Chain, index: int) -> None:
     bias = numbers(graph.constants[node.input[2]]).reshape(-1) if _has_constant(graph, node, 2) else None
     if bias is None and len(node.input) > 2 and node.input[2]:
         raise graph.refuse(index, "has a bias that is no constant")
-    _add_layer(graph, chain, index, numbers(kernel).reshape(len(kernel), -1), bias)
-    chain.shape = (len(kernel), *([1] * (kernel.ndim - 2)))
+    return numbers(kernel).reshape(len(kernel), -1), bias, (len(kernel), *([1] * (kernel.ndim - 2)))
 
 
 def _batch_normalisation(graph: Graph, chain: Chain, index: int) -> None:

@@ -11,7 +11,6 @@ from hilrunner.base import exit_codes
 from hilrunner.evidence import signature
 from tests.tools import synthetic_run
 
-
 PROFILE = 'name = "signed"\n[[axis]]\nname = "lift"\n[limits]\npressure_mpa_max = 30.0\n'
 
 

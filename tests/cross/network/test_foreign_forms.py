@@ -9,6 +9,7 @@ import pytest
 from onnx import TensorProto, helper, numpy_helper
 
 from hilrunner.base.errors import ModelError
+from hilrunner.plant.head import KERNEL_GRAPH
 from hilrunner.plant.network import ROLES, assemble_bank, forward_many
 from hilrunner.setup.model import load_model
 
@@ -207,3 +208,72 @@ def test_torchs_export_with_nothing_but_an_example_row(tmp_path, dynamo):
         points, mine = answers(path, in_loop)
         theirs = net(torch.tensor(points)).detach().numpy()
         np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-6)
+
+
+def blocks(torch, normalised):
+    """A residual network with layer normalisation, a skip of the input and a gate."""
+
+    class Net(torch.nn.Module):
+        def __init__(self):
+            super().__init__()
+            self.first, self.second, self.third = (torch.nn.Linear(a, b) for a, b in ((3, 8), (8, 8), (11, 2)))
+            self.norm = torch.nn.LayerNorm(8) if normalised else torch.nn.Identity()
+            self.gate = torch.nn.Linear(3, 8)
+
+        def forward(self, x):
+            scaled = (x - 2.0) / torch.tensor([4.0, 1.0, 0.5], dtype=x.dtype)
+            one = torch.tanh(self.first(scaled))
+            two = one + self.norm(torch.nn.functional.silu(self.second(one)))
+            return self.third(torch.cat([two * torch.sigmoid(self.gate(scaled)), scaled], dim=-1))
+
+    torch.manual_seed(3)
+    return Net().double().eval()
+
+
+@pytest.mark.parametrize("opset", [13, 17], ids=["normalisation spelt out", "as one node"])
+def test_residual_links_layer_normalisation_gates_and_skips_are_compiled(tmp_path, opset):
+    import warnings
+
+    import torch
+
+    net = blocks(torch, True)
+    path = tmp_path / "r.onnx"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(net, (torch.zeros(1, 3, dtype=torch.float64),), str(path), dynamo=False, opset_version=opset)
+    description = {**onnx_models.RATES, "hil.networks": json.loads(onnx_models.properties()["hil.networks"])}
+    # columns and units are the file's own business
+    description["hil.networks"][0]["outputs"].reverse()
+    (tmp_path / "r.onnx.json").write_text(json.dumps(description))
+    surrogate, report = load_model(path, "paper")
+    assert surrogate.networks["flow"].kernel == KERNEL_GRAPH and "by " in report.text()
+    for in_loop in (False, True):
+        points, mine = answers(path, in_loop)
+        theirs = net(torch.tensor(points)).detach().numpy()[:, ::-1]
+        np.testing.assert_allclose(mine, theirs, rtol=0, atol=1e-6)
+
+
+def test_a_branch_that_cannot_be_ported_is_refused_by_its_node(tmp_path):
+    constants = {"w": np.ones((3, 4)), "v": np.ones((4, 2))}
+    nodes = [
+        helper.make_node("MatMul", ["x", "w"], ["a"]),
+        helper.make_node("Softmax", ["a"], ["s"], name="attention"),
+        helper.make_node("Mul", ["a", "s"], ["m"]),
+        helper.make_node("MatMul", ["m", "v"], ["y"]),
+    ]
+    path = save(tmp_path / "n.onnx", nodes, constants)
+    with pytest.raises(ModelError, match="node 1, Softmax 'attention'.*--engine onnx"):
+        load_model(path, "paper")
+    load_model(path, "paper", in_loop=True)
+
+
+def test_a_network_of_branches_too_large_for_a_period_is_refused_with_its_limit(tmp_path):
+    constants = {"w": np.ones((3, 3000)) / 3000, "v": np.ones((3000, 2)) / 3000}
+    nodes = [
+        helper.make_node("MatMul", ["x", "w"], ["a"]),
+        helper.make_node("Tanh", ["a"], ["t"]),
+        helper.make_node("Add", ["a", "t"], ["s"]),
+        helper.make_node("MatMul", ["s", "v"], ["y"]),
+    ]
+    with pytest.raises(ModelError, match="values between its layers.*at most 4096"):
+        load_model(save(tmp_path / "n.onnx", nodes, constants), "paper")
