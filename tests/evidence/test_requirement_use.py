@@ -8,7 +8,7 @@ from hilrunner.evidence.junit import junit_xml
 from hilrunner.evidence.report import build_report
 from hilrunner.setup.profile import parse_profile
 
-KEPT = 'always chamber_1_pressure < 12 MPa'
+KEPT = "always chamber_1_pressure < 12 MPa"
 BROKEN = "always (valve_command > 50 % implies lift.rod_velocity < 10 mm/s)"
 
 
@@ -56,7 +56,8 @@ def test_what_the_log_does_not_reach_is_not_judged(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("formula", "words"), [("always pressure < 12 MPa", "no signal 'pressure'"), ("always lift.end_stop <", "expected a value")]
+    ("formula", "words"),
+    [("always pressure < 12 MPa", "no signal 'pressure'"), ("always lift.end_stop <", "expected a value")],
 )
 def test_a_formula_that_does_not_fit_is_refused_when_the_profile_is_loaded(formula, words):
     with pytest.raises(ProfileError, match=words):
