@@ -1,5 +1,7 @@
 """A moving window over an MCAP file: the next whole record, and the next recognisable chunk after damage."""
 
+import errno
+import os
 import struct
 import zlib
 
@@ -88,12 +90,23 @@ class Window:
             if self._buffer[self._start : self._end].any():
                 return False
             self.consume(self._end - self._start)
+            data = self._next_data(self.file_offset)
+            if data > self.file_offset:  # zeros are the same for the checksum, which nothing asks for behind a cut
+                self.move_to(data)
         return True
+
+    def _next_data(self, offset: int) -> int:
+        """Where the file has blocks again from `offset` on: a hole can be terabytes long, and reading it takes hours."""
+        try:
+            return os.lseek(self._file.fileno(), offset, os.SEEK_DATA)
+        except OSError as error:
+            return self.size if error.errno == errno.ENXIO else offset  # ENXIO: a hole to the end
 
     def find_chunk(self, offset: int) -> int:
         """File offset of the next compressed chunk from `offset` on whose header agrees with itself; -1: none."""
         position = offset
         while position < self.size:
+            position = max(position, self._next_data(position) - _NAME_OFFSET)
             self._file.seek(position)
             data = self._file.read(_SEARCH_BYTES)
             for hit in _hits(data):
