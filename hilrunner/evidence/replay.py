@@ -57,6 +57,7 @@ class Replay:
         return self.verdict.exit_code
 
 
+@np.errstate(all="ignore")  # a damaged log holds numbers of any size: what comes of them is shown, not warned of
 def build_replay(path: str | Path, options: ReplayOptions, progress: Progress = lambda what, share: None) -> Replay:
     """Read a run and replay it.
 

@@ -17,6 +17,7 @@ _POINTS = 1200
 _STRETCHES = 600
 
 
+@np.errstate(all="ignore")
 def replay_html(replay: Replay) -> str:
     """The whole document."""
     sections = [page.section("Verdict", verdict_table(replay.verdict))]

@@ -95,6 +95,7 @@ class RunnerKnows:
     exit_reason: str  # of status.EXIT_NAMES
 
 
+@np.errstate(all="ignore")  # a damaged log holds numbers of any size: what comes of them is shown, not warned of
 def build_report(
     path: str | Path,
     reference_path: str | Path | None = None,

@@ -29,6 +29,7 @@ _PHASES = ("receive", "decode", "step", "encode", "record")
 _WIDE = 1060
 
 
+@np.errstate(all="ignore")
 def report_html(report: Report) -> str:
     """The whole document."""
     sections = [

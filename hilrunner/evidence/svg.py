@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+_LARGEST = 1e100
 _LEFT, _RIGHT, _TOP, _BOTTOM = 58, 14, 12, 44
 _LOG_STEPS = (1, 2, 5)
 
@@ -20,6 +21,7 @@ class Axis:
     log: bool = False
 
     def __post_init__(self) -> None:
+        self.low, self.high = _drawable(self.low), _drawable(self.high)
         if self.log:
             self.low = max(self.low, 1e-300)
             self.high = max(self.high, self.low * 1.1)
@@ -51,6 +53,11 @@ class Axis:
         stride = max(1, math.ceil(len(decades) / 7))
         marks = [m * 10.0**d for d in list(decades)[::stride] for m in steps]
         return [mark for mark in marks if self.low * 0.999 <= mark <= self.high * 1.001]
+
+
+def _drawable(value: float) -> float:
+    """An end of an axis that can be subtracted from and divided by any other; a damaged log holds numbers of any size."""
+    return 0.0 if math.isnan(value) else max(-_LARGEST, min(float(value), _LARGEST))
 
 
 def nice_step(raw: float) -> float:

@@ -76,7 +76,8 @@ def decompression_bomb(rng, folder):
 
 def wrong_lengths(rng, folder):
     """Lengths of records, texts, maps, chunks and attachments that are not there."""
-    claimed = int(rng.choice([0, 1, 8, 1 << 16, 1 << 31, (1 << 32) - 1, 1 << 40, (1 << 63) - 1, (1 << 64) - 1]))
+    claims = (0, 1, 8, 1 << 16, 1 << 31, (1 << 32) - 1, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)
+    claimed = claims[rng.integers(len(claims))]
     small = claimed & 0xFFFFFFFF
     parts = [
         raw.record(raw.METADATA, b"\x04\x00\x00\x00runs", claimed),
