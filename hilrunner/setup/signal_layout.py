@@ -11,6 +11,8 @@ import numpy as np
 from hilrunner.base.errors import DbcError
 from hilrunner.realtime import bits, encode
 
+LARGEST_NUMBER = 1e30  # of a scale, an offset, an end of a range: no quantity comes near, and sums of them stay finite
+
 
 def find(place: str, message, name: str):
     """The signal of that name (a cantools Signal); DbcError with the names there are."""
@@ -83,6 +85,7 @@ def row(where: str, signal, factor: Fraction, modulus: bool, limits: tuple[float
     """
     if not 1 <= signal.length <= 64:
         raise DbcError(where, f"{signal.length} bits long", "1..64 bits")
+    _check_numbers(where, signal)
     scale = Fraction(str(signal.scale))
     if scale == 0 or factor == 0:
         raise DbcError(where, "a scale of 0 carries nothing")
@@ -106,6 +109,22 @@ def row(where: str, signal, factor: Fraction, modulus: bool, limits: tuple[float
         out["modulus"] = float(1 << signal.length)
         out["number_min"], out["number_max"] = 0.0, float((1 << signal.length) - 1)
     return out
+
+
+def _check_numbers(where: str, signal) -> None:
+    """The parser takes 1e999 and makes infinity of it; start bits and scales have no bounds in the format."""
+    for name in ("scale", "offset", "minimum", "maximum"):
+        value = getattr(signal, name)
+        if value is not None and not abs(value) <= LARGEST_NUMBER:
+            raise DbcError(where, f"{name} {value}", f"numbers up to {LARGEST_NUMBER:g}", "correct it in the DBC")
+    if signal.scale != 0 and abs(signal.scale) < 1 / LARGEST_NUMBER:
+        raise DbcError(where, f"scale {signal.scale}", f"at least {1 / LARGEST_NUMBER:g}", "correct it in the DBC")
+    places = bit_places(signal.start, signal.length, signal.byte_order)
+    if not 0 <= min(places) <= max(places) < 8 * encode.DATA_SIZE_MAX:
+        raise DbcError(
+            where, f"start bit {signal.start} with {signal.length} bits reaches beyond every frame",
+            f"bits 0 to {8 * encode.DATA_SIZE_MAX - 1}", "correct the start bit",
+        )  # fmt: skip
 
 
 def _kind(where: str, signal) -> int:

@@ -49,6 +49,7 @@ QUANTITY_KINDS = {
     "heave_velocity": "velocity",
 }
 CONTROL_NAMES = ("disabled", "hold", "active", "reset")
+LONGEST_CYCLE_MS = 3_600_000
 FD_LENGTHS = (12, 16, 20, 24, 32, 48, 64)
 
 
@@ -67,11 +68,20 @@ def load_signals(
     """
     database = load_database(Path(dbc_path))
     place = Path(dbc_path).name
-    _check_messages(place, database, mapping, fd)
-    return (
-        _command_table(place, database, [axis.command for axis in mapping]),
-        _measurement_table(place, database, mapping, period_ns),
-    )
+    try:
+        _check_messages(place, database, mapping, fd)
+        return (
+            _command_table(place, database, [axis.command for axis in mapping]),
+            _measurement_table(place, database, mapping, period_ns),
+        )
+    except (ArithmeticError, ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+        # what has a check of its own above says more; a file of a stranger can hold anything in the place of a number
+        raise DbcError(
+            place,
+            f"a mapped message holds what cannot be used ({type(error).__name__}: {error})",
+            "numbers where the DBC format has numbers",
+            "export it again",
+        ) from error
 
 
 def _check_messages(place: str, database, mapping: list[AxisMapping], fd: bool) -> None:
@@ -276,8 +286,13 @@ def _measurement_table(place: str, database, mapping: list[AxisMapping], period_
 def _period_ticks(place: str, message, cycle_ms: float | None, period_ns: int) -> int:
     """Cycle time in periods: the nearest whole number, at least 1; a cycle of 0 or none means every period."""
     cycle = message.cycle_time if cycle_ms is None else cycle_ms
-    if cycle is not None and cycle < 0:
-        raise DbcError(f"{place}: {message.name}", f"cycle time {cycle} ms is negative")
+    if cycle is not None and not 0 <= cycle <= LONGEST_CYCLE_MS:
+        raise DbcError(
+            f"{place}: {message.name}",
+            f"a cycle time of {cycle} ms",
+            f"0 to {LONGEST_CYCLE_MS} ms",
+            "correct GenMsgCycleTime",
+        )
     return max(1, round((cycle or 0) * NS_PER_MS / period_ns))
 
 

@@ -15,9 +15,9 @@ from tests.attack.campaign import Campaign, try_cases
 
 def campaigns() -> dict[str, Campaign]:
     """All of them, by name."""
-    from tests.attack import damage, logs
+    from tests.attack import damage, databases, logs
 
-    found = [damage.CUT, damage.FLIP, logs.LOGS]
+    found = [damage.CUT, damage.FLIP, logs.LOGS, databases.DATABASES]
     return {one.name: one for one in found}
 
 

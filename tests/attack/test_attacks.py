@@ -1,0 +1,27 @@
+"""A few cases of every campaign that needs no process of its own; `make test-long` tries them by the thousand."""
+
+import pytest
+
+from tests.attack.campaign import try_cases
+from tests.attack.command import campaigns
+from tests.attack.outcome import Outcome
+
+SMALL = {"cut": 12, "flip": 24, "logs": 48, "databases": 16}
+
+
+@pytest.mark.parametrize("name", sorted(SMALL))
+def test_a_few_cases_hold(name):
+    result = try_cases(campaigns()[name], seed=11, numbers=range(SMALL[name]))
+    assert result.failed == [], result.text()
+    assert result.count == SMALL[name]
+
+
+def test_what_must_not_happen_is_noticed():
+    fine = Outcome(2, "", "hilrunner check: x: bad\n", 0.1, 10)
+    assert fine.faults() == []
+    assert Outcome(None, "", "", 60.0, 10).faults() == ["hang of more than 60 s"]
+    assert Outcome(-11, "", "", 0.1, 10).faults() == ["killed by SIGSEGV"]
+    assert Outcome(1, "", "Traceback (most recent call last)", 0.1, 10).faults() == ["traceback"]
+    assert "memory" in Outcome(0, "", "", 0.1, 2_000_000_000).faults()[0]
+    assert "control" in Outcome(0, "\x1b[2J", "", 0.1, 10).faults()[0]
+    assert Outcome(2, "", "one\ntwo\n", 0.1, 10).faults() == ["a refusal that is not one line"]
