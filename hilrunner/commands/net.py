@@ -26,6 +26,9 @@ def told(error: Exception, command: str) -> int:
 def sentence(error: Exception) -> str:
     """What happened, where in the program, and what to do."""
     words = str(error).strip() or "no further word"
+    if isinstance(error, ModuleNotFoundError) and error.name:
+        package = error.name.partition(".")[0]
+        return f"the package {package} is not installed ({_where(error)}); remedy: install hilrunner again with what it needs, or pip install {package}"
     if isinstance(error, OSError) and error.strerror:
         names = ", ".join(str(name) for name in (error.filename, error.filename2) if name is not None)
         words = f"{names}: {error.strerror}" if names else error.strerror

@@ -7,7 +7,6 @@ already this takes a few seconds. No bus is needed, and nothing is written but t
 import argparse
 import contextlib
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -82,9 +81,15 @@ def _compiling_check(profile: str):
     """
     from hilrunner.base.compile_watch import observers
     from hilrunner.base.errors import StateError
+    from hilrunner.record import child
 
-    words = [sys.executable, "-c", CHECK, profile]
-    process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        child.code_command(CHECK, profile),
+        env=child.environment(),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
     name = "the cross-check, in another process"
     try:
         yield

@@ -17,6 +17,11 @@ def module_command(module: str) -> list[str]:
     return [sys.executable, "-P", "-m", module]
 
 
+def code_command(code: str, *words: str) -> list[str]:
+    """The same for a line of code, with words in sys.argv[1:]."""
+    return [sys.executable, "-P", "-c", code, *words]
+
+
 def environment(**changes: str) -> dict[str, str]:
     """The environment for such a process: this package is found where it is now, and PYTHONPATH has no empty entry."""
     root = str(Path(hilrunner.__file__).resolve().parent.parent)

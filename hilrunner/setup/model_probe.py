@@ -9,9 +9,9 @@ import resource
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 from hilrunner.base.errors import ModelError
+from hilrunner.record import child
 
 MEMORY_MAX_BYTES = 1 << 30
 TIME_MAX_S = 60
@@ -30,11 +30,11 @@ def probe(
     where = f"{place}: network '{role}'"
     try:
         done = subprocess.run(
-            [sys.executable, "-m", "hilrunner.setup.model_probe"],
+            child.module_command("hilrunner.setup.model_probe"),
             input=asked + part,
             capture_output=True,
             timeout=TIME_MAX_S + 30,
-            cwd=Path(__file__).resolve().parents[2],
+            env=child.environment(),
         )
     except subprocess.TimeoutExpired:
         raise ModelError(where, "did not answer one row in time", _BUDGET, "a smaller network") from None

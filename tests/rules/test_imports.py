@@ -55,6 +55,22 @@ def test_firmware_interface_stands_alone():
                 assert not (line.startswith("#include") and ".." in line), f"{name}: {line}"
 
 
+def test_no_process_of_the_product_looks_for_modules_in_the_working_folder():
+    """`python -m` and `python -c` look there first, and would run a signal.py or can.py that a user keeps."""
+    found = {}
+    for path in tree.python_files():
+        if not tree.relative(path).startswith("hilrunner/"):
+            continue
+        for node in ast.walk(ast.parse(tree.text_of(path))):
+            words = [ast.unparse(word) for word in node.elts] if isinstance(node, ast.List) else []
+            for word, following in zip(words, words[1:], strict=False):
+                if word.endswith("sys.executable") or word == "os.path.realpath(sys.executable)":
+                    found[f"{tree.relative(path)}:{node.lineno}"] = following
+    assert found, "the rule looks for nothing"
+    safe = ("'-P'", "'-I'", "str(Path(__file__)")
+    assert {place: word for place, word in found.items() if not word.startswith(safe)} == {}
+
+
 def test_nothing_of_the_product_imports_tools_or_tests():
     for path in tree.python_files():
         name = tree.relative(path)

@@ -51,6 +51,13 @@ def test_one_line_with_place_and_remedy(monkeypatch, capsys, fails, told):
         assert word in line, line
 
 
+def test_a_package_that_is_missing_is_named(monkeypatch, capsys):
+    monkeypatch.setattr(profiles, "main", lambda _: __import__("no_such_package.inner"))
+    assert cli.main(["profiles"]) == exit_codes.BAD_INPUT
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "the package no_such_package is not installed" in line and "remedy: " in line
+
+
 def test_the_whole_trace_is_shown_when_asked_for(monkeypatch, capsys):
     monkeypatch.setenv(net.TRACEBACK_VARIABLE, "1")
     monkeypatch.setattr(profiles, "main", lambda _: from_a_library())
