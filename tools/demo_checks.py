@@ -7,7 +7,7 @@ import cantools
 import numpy as np
 from demo_scenes import TICKS_RUN_RATIO_MIN
 
-from hilrunner.base import status
+from hilrunner.base import records, status
 from hilrunner.base.exit_codes import PASSED
 from hilrunner.evidence.reader import Run, read_run
 from hilrunner.setup.profile import load_profile
@@ -53,7 +53,13 @@ def ticks_complete(run: Run) -> tuple[bool, str]:
     expected = np.diff(tick, prepend=-1) - 1
     told = run.metadata.get("run", {})
     lost = int(np.abs(expected - skipped).sum()) + int(told.get("dropped_ticks", 0)) + int(told.get("lost_messages", 0))
-    return lost == 0 and len(tick) > 0, f"{len(tick)} ticks, {int(skipped.sum())} skipped, {lost} lost"
+    ran = _ticks_run(run)
+    return lost == 0 and ran > 0, f"{ran} ticks, {len(tick) - ran + int(skipped.sum())} skipped, {lost} lost"
+
+
+def _ticks_run(run: Run) -> int:
+    """Ticks that ran in time or late; skipped periods have rows as well."""
+    return int(np.count_nonzero((run.tick["flags"] & records.TICK_FLAG_SKIPPED) == 0))
 
 
 def closed_loop(out: Path, scene: dict, codes: dict[str, int]) -> list[Check]:
@@ -63,7 +69,7 @@ def closed_loop(out: Path, scene: dict, codes: dict[str, int]) -> list[Check]:
     (axis,) = run.axis_names
     command = run.command[axis]
     active_s = float((command["mode"] == status.MODE_ACTIVE).sum() * _period_s(run))
-    ran = len(run.tick) / (int(run.tick["tick"][-1]) + 1)
+    ran = _ticks_run(run) / (int(run.tick["tick"][-1]) + 1)
     firmware = scene["firmware"]
     error, reference = firmware["tracking_error_mm_rms"], firmware["reference_mm_rms"]
     complete, text = ticks_complete(run)

@@ -23,7 +23,7 @@ def _layout(fields: list[tuple]) -> np.dtype:
 
 TICK = _layout(
     [
-        ("tick", "u8"),  # period number on the grid; gaps are skipped periods
+        ("tick", "u8"),  # period number on the grid; gaps are skipped periods without a row
         ("deadline_mono_ns", "i8"),  # start_mono_ns + tick * period_ns
         ("wake_mono_ns", "i8"),
         ("end_mono_ns", "i8"),  # after the record phase of this tick
@@ -33,13 +33,14 @@ TICK = _layout(
         ("encode_ns", "u4"),  # encode and send
         ("record_ns", "u4"),  # record phase of the tick before: this one is not over when the record is written
         ("frames_received", "u4"),
-        ("skipped_count", "u4"),  # whole periods skipped just before this tick
-        ("flags", "u4"),  # TICK_FLAG_*: late (a miss), near a miss, fail-safe forced before this tick
+        ("skipped_count", "u4"),  # whole periods skipped just before this tick that have no row of their own
+        ("flags", "u4"),  # TICK_FLAG_*: late (a miss), near a miss, fail-safe forced before this tick, skipped
     ]
 )
 TICK_FLAG_MISS = 1
 TICK_FLAG_NEAR_MISS = 2
 TICK_FLAG_FORCED_FAIL_SAFE = 4  # by a deadline limit of the profile, just before this tick
+TICK_FLAG_SKIPPED = 8  # computed after a stall, from the frames that came in its time; nothing of it was sent
 
 COMMAND = _layout(
     [
@@ -139,7 +140,7 @@ def can_frame_record(data_size_bytes: int) -> np.dtype:
     """Layout of one logged CAN frame; `data_size_bytes` is 8 (classic) or 64 (FD)."""
     return _layout(
         [
-            ("tick", "u8"),  # tick that received or sent it
+            ("tick", "u8"),  # tick that received or sent it; after a stall the period in which it came
             ("kernel_real_ns", "i8"),  # receive: the kernel's stamp (CLOCK_REALTIME); 0: none, as always when sent
             ("mono_ns", "i8"),  # receive: wake-up of the tick; send: just after the system call returned
             ("can_id", "u4"),  # SocketCAN: 29 bits and EFF/RTR/ERR flags in the upper three

@@ -16,7 +16,7 @@ import numpy as np
 
 from hilrunner.base import records, status
 
-MAGIC = 0x48494C52494E4731  # "HILRING1"
+MAGIC = 0x48494C52494E4732  # "HILRING2"
 HEADER_STRIDE = 8
 
 (
@@ -46,8 +46,23 @@ HEADER_STRIDE = 8
     WORD_STOP_REQUEST,  # 1: asked to end after the current tick (signal handler, profile action)
     WORD_SKIPPED_TOTAL,
     WORD_MISS_TOTAL,
+    WORD_STALL_COUNT,  # silences of the bench longer than the profile allows
+    WORD_STALL_NS_MAX,  # longest time the bench served no period, beyond the period itself
+    WORD_STALL_NS_LAST,  # of the newest silence that counted
+    WORD_STALL_TICK_LAST,  # the tick that ended it
+    WORD_STALL_TICK_FIRST,  # the tick that ended the first one that counted, + 1; 0: none
+    WORD_KERNEL_DROPPED,  # frames the kernel dropped because the receive buffer of the socket was full
+    WORD_LOG_LACKS,  # LOG_LACKS_*: what the recorder found missing of the log while it writes it
     WORD_COUNT,
-) = range(27)
+) = range(34)
+
+# what a log lacks while it is written; bits of WORD_LOG_LACKS
+LOG_LACKS_NAME = 1  # its file has been deleted, moved or replaced, or its disk unmounted
+LOG_LACKS_DATA = 2  # the disk refused data
+LOG_LACKS_TEXTS = (
+    "the file of the log is gone from its place: deleted, moved, replaced, or its disk was unmounted",
+    "the disk of the log refuses data",
+)
 
 
 class RingShape(NamedTuple):
@@ -128,6 +143,12 @@ def initialise(ring: Ring, shape: RingShape) -> None:
     }
     for word, value in words.items():
         ring.header[word * HEADER_STRIDE] = value
+
+
+def log_lacks(ring: Ring) -> list[str]:
+    """What the log lacks, as far as its recorder has found, in sentences; for cold code."""
+    bits = word(ring, WORD_LOG_LACKS)
+    return [text for bit, text in enumerate(LOG_LACKS_TEXTS) if bits >> bit & 1]
 
 
 def word(ring: Ring, index: int) -> int:

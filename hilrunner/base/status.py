@@ -28,7 +28,7 @@ FRAME_LOST_COUNTER = 7  # counter jumped further than the profile allows
 FRAME_OUT_OF_RANGE = 8
 FRAME_NOT_A_NUMBER = 9
 FRAME_BAD_CONTROL = 10
-FRAME_STATUS_COUNT = 11
+FRAME_OWN_ID = 11  # an identifier this bench sends: another bench speaks on the bus
 FRAME_STATUS_NAMES = (
     "valid",
     "unknown id",
@@ -41,7 +41,9 @@ FRAME_STATUS_NAMES = (
     "out of range",
     "not a number",
     "bad control word",
+    "own identifier, sent by another",
 )
+FRAME_STATUS_COUNT = len(FRAME_STATUS_NAMES)
 
 # flags of /<axis>/state
 FLAG_OUTSIDE_TRAINING = 1 << 0
@@ -103,6 +105,8 @@ EXIT_CAN_LOST = 4
 EXIT_NOT_FINITE = 5
 EXIT_STIMULUS_END = 6
 EXIT_KILLED = 7
+EXIT_STALLED = 8  # the host stood still longer than the profile allows, action "stop"
+EXIT_SYSTEM_CALL = 9  # a system call of the loop that cannot fail did
 EXIT_NAMES = (
     "running",
     "duration reached",
@@ -112,6 +116,8 @@ EXIT_NAMES = (
     "state not finite",
     "stimulus ended",
     "runner killed",
+    "the host stalled",
+    "system call failed",
 )
 
 # overrun policy

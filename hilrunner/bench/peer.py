@@ -74,7 +74,7 @@ def run_peer(descriptor, clock, words, start_mono_ns, period_ns, frames, inbox, 
                 outbox.frame[axis, byte] = frames[tick % 16, axis, byte]
             outbox.size_bytes[axis] = 16
         sent = send_frames(descriptor, outbox, axis_count)
-        received = receive_frames(descriptor, inbox)
+        received = receive_frames(descriptor, inbox, 0)
         words[WORD_SENT] += max(sent, 0)
         words[WORD_RECEIVED] += max(received, 0)
         behind = now_mono_ns(clock) - (start_mono_ns + tick * period_ns + period_ns // 2)

@@ -72,7 +72,9 @@ def _watched(session: Session, args: argparse.Namespace, key) -> int:
             print_start(session)
     live = LiveLine(session, enabled=is_terminal(sys.stderr) and not args.json)
     while session.running(_LIVE_INTERVAL_S):
+        live.tell(session.news())
         live.update()
+    live.tell(session.news())
     live.close()
     # the run has ended: whoever wants to end it now gets its log and verdict all the same
     _set_signals(dict.fromkeys((signal.SIGINT, signal.SIGTERM), lambda *_: None))

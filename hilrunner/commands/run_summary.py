@@ -6,7 +6,7 @@ import numpy as np
 
 from hilrunner.base import histogram_scale, records, state_layout, status
 from hilrunner.base import ring as ring_layout
-from hilrunner.base.units import M_PER_MM, PA_PER_MPA
+from hilrunner.base.units import M_PER_MM, NS_PER_MS, PA_PER_MPA
 from hilrunner.setup.contract import sent_signal_names
 from hilrunner.setup.model_onnxruntime import engine_errors
 from hilrunner.setup.session import RunResult
@@ -83,7 +83,8 @@ def summarise_run(result: RunResult, exit_code: int) -> dict:
         "frames_received": int(progress["frames_received"]),
         "frames_sent": int(progress["frames_sent"]),
         "frames_unsent": int(progress["frames_unsent"]),
-        "frames_kernel_dropped": int(result.armed.bench.inbox.overflow[0]),
+        "stall": _stall(result),
+        "frames_kernel_dropped": ring_layout.word(result.ring, ring_layout.WORD_KERNEL_DROPPED),
         "frames": frame_counts(result),
         "clamped": clamped_counts(result),
         "flags": flag_names(int(progress["flags_seen"])),
@@ -111,6 +112,17 @@ def finite(value):
 def _warnings(result: RunResult) -> list[str]:
     stimulus = result.stimulus_facts
     return [*(stimulus.warnings if stimulus else ()), *bench_warnings(result.armed.loaded, result.armed.axes)]
+
+
+def _stall(result: RunResult) -> dict:
+    """Times without a served period that were longer than the profile allows, and the longest of all."""
+    first = ring_layout.word(result.ring, ring_layout.WORD_STALL_TICK_FIRST)
+    return {
+        "count": ring_layout.word(result.ring, ring_layout.WORD_STALL_COUNT),
+        "longest_ms": ring_layout.word(result.ring, ring_layout.WORD_STALL_NS_MAX) / NS_PER_MS,
+        "limit_ms": result.armed.loaded.profile.deadline.stall_ms.max,
+        "first_tick": first - 1 if first else None,
+    }
 
 
 def _engine_errors(result: RunResult) -> list[str]:

@@ -69,6 +69,16 @@ class LiveLine:
         terminal.flush()
         self._shown = True
 
+    def tell(self, sentences: list[str]) -> None:
+        """What has befallen the run, a line each; told also where no live line is wanted."""
+        if sentences:
+            self.close()
+            self._shown = False
+        for text in sentences:
+            sys.stderr.write(f"hilrunner: {text}\n")
+        if sentences:
+            sys.stderr.flush()
+
     def close(self) -> None:
         """Leave the terminal on a fresh line."""
         if self._shown:
@@ -116,6 +126,12 @@ def print_summary(summary: dict) -> None:
         )
     if summary["flags"]:
         print(f"  seen: {', '.join(summary['flags'])}")
+    stall = summary["stall"]
+    if stall["count"]:
+        print(
+            f"  stalls: {stall['count']} longer than {stall['limit_ms']} ms, longest {stall['longest_ms']:.1f} ms, "
+            f"first before tick {stall['first_tick']}"
+        )
     _print_recorder(summary)
     for text in summary["engine_errors"]:
         print(f"  {text}")
@@ -146,6 +162,8 @@ def _print_recorder(summary: dict) -> None:
             f"  log: {recorder['log_path']}, {recorder['tick_count']} ticks, {recorder['size_bytes'] / 1e6:.2f} MB, "
             f"{_dropped_text(recorder)}, {recorder['lost_bytes']} bytes lost"
         )
+    for text in recorder.get("log_lacks", ()):
+        print(f"  the log is not whole: {text}")
     for name, figures in (recorder.get("check") or {}).items():
         if isinstance(figures, dict) and figures.get("checked_ticks"):
             print(f"  cross-check {name}: {_check_text(figures)}")

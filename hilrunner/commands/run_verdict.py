@@ -1,6 +1,7 @@
 """The judgement of the run that has just ended: the one that `report` gives of its log, or the same without a log."""
 
 from hilrunner.base import exit_codes, status
+from hilrunner.base import ring as ring_layout
 from hilrunner.base.errors import HilrunnerError
 from hilrunner.commands.interrupt import INTERRUPTED
 from hilrunner.setup.session import RunResult
@@ -36,7 +37,9 @@ def exit_code_of(result: RunResult, verdict: dict) -> int:
 def _of_log(result: RunResult) -> dict:
     from hilrunner.evidence.report import RunnerKnows, build_report
 
-    ran = int(result.armed.bench.progress[0]["tick_count"])
+    ran = _rows(result)
+    if ring_layout.word(result.ring, ring_layout.WORD_LOG_LACKS) & ring_layout.LOG_LACKS_NAME:
+        return _of_counters(result, ring_layout.LOG_LACKS_TEXTS[0])  # what lies there now is not the log of this run
     knows = RunnerKnows(ran, status.EXIT_NAMES[result.exit_reason])
     try:
         return build_report(result.log_path, knows=knows).verdict.as_dict()
@@ -47,13 +50,12 @@ def _of_log(result: RunResult) -> dict:
 
 def _of_counters(result: RunResult, problem: str, code: int = exit_codes.VERDICT_FAILED) -> dict:
     """By the loop's own counters; `problem`: why there is nothing more to judge by, where there should be."""
-    from hilrunner.base import ring as ring_layout
     from hilrunner.evidence.coverage import coverage_of_run
     from hilrunner.evidence.limit_measures import Measured
     from hilrunner.evidence.verdict import COUNTERS, Subject, judge, said
 
     profile = result.armed.loaded.profile
-    ran = int(result.armed.bench.progress[0]["tick_count"])
+    ran = _rows(result)
     failed_tick = ring_layout.word(result.ring, ring_layout.WORD_CHECK_FAILED_TICK)
     coverage = coverage_of_run(ran, result.recorder, profile.crosscheck.enabled, failed_tick - 1)
     verdict = judge(
@@ -62,6 +64,7 @@ def _of_counters(result: RunResult, problem: str, code: int = exit_codes.VERDICT
             limits={},
             measured=Measured(None, None, [], [], coverage),
             silent_axes=_silent_axes(result),
+            stall_problem=_stall_problem(result),
             source=COUNTERS,
         )
     )
@@ -69,6 +72,21 @@ def _of_counters(result: RunResult, problem: str, code: int = exit_codes.VERDICT
         doc = "the limits can be judged by what was recorded"
         verdict = verdict.joined([said("limits_judged", doc, None, problem, code)])
     return verdict.as_dict()
+
+
+def _rows(result: RunResult) -> int:
+    """Ticks that are to be found in the log, those of skipped periods among them; without a recorder, ticks that ran."""
+    written = ring_layout.word(result.ring, ring_layout.WORD_TICK_WRITTEN)
+    dropped = ring_layout.word(result.ring, ring_layout.WORD_TICK_DROPPED)
+    return written + dropped or int(result.armed.bench.progress[0]["tick_count"])
+
+
+def _stall_problem(result: RunResult) -> str:
+    from hilrunner.evidence.stalls import stall_problem
+
+    words = (ring_layout.WORD_STALL_COUNT, ring_layout.WORD_STALL_NS_MAX, ring_layout.WORD_STALL_TICK_FIRST)
+    count, longest_ns, first = (ring_layout.word(result.ring, word) for word in words)
+    return stall_problem(result.armed.loaded.profile.deadline.stall_ms, count, longest_ns, first - 1)
 
 
 def _silent_axes(result: RunResult) -> tuple[str, ...] | None:

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from hilrunner.base.errors import LogError, UsageError
+from hilrunner.record.file_lock import is_locked
 
 _LOG_MAGIC = b"\x89MCAP0\r\n"
 
@@ -38,6 +39,7 @@ def check_new_log(path: Path | None, overwrite: bool, log: Path | None = None) -
         _check_name(path, log)
         if path.is_file() and not overwrite:
             raise _exists(path)
+        _check_unlocked(path)
         _check_writable(path)
 
 
@@ -53,6 +55,7 @@ def claim_log(path: Path, overwrite: bool) -> bool:
     except FileExistsError:
         if path.is_file() and not overwrite:
             raise _exists(path) from None
+        _check_unlocked(path)
         return False
     except OSError as error:
         raise LogError(
@@ -117,6 +120,11 @@ def _check_writable(path: Path) -> None:
         probe = _part(path)
         probe.touch()
         probe.unlink()
+
+
+def _check_unlocked(path: Path) -> None:
+    if path.is_file() and is_locked(path):
+        raise UsageError(str(path), "a run is writing this log now", remedy="name another file, or end that run")
 
 
 def _exists(path: Path) -> UsageError:

@@ -9,8 +9,10 @@ from hilrunner.evidence.limit_measures import Measured
 from hilrunner.evidence.plant_use import AxisUse, measure_plant
 from hilrunner.evidence.reader import Run
 from hilrunner.evidence.requirement_use import judged_requirements
+from hilrunner.evidence.stalls import logged_stall_problem
 from hilrunner.evidence.verdict import Subject, Verdict, judge
 from hilrunner.setup.limits import SETTLING_SPEED_MMPS
+from hilrunner.setup.profile import StallLimit
 from hilrunner.setup.run_manifest import STIMULUS_ATTACHMENT
 
 
@@ -39,7 +41,13 @@ def subject_of(
         missing_fields=run.missing_fields,
         silent_axes=silent_axes(run, facts, axes, names),
         requirements=judged_requirements(run, facts),
+        stall_problem=logged_stall_problem(run.metadata.get("run", {}), stall_limit(facts)),
     )
+
+
+def stall_limit(facts: RunFacts) -> StallLimit:
+    """The profile's limit on stalls, or the usual one."""
+    return facts.profile.deadline.stall_ms if facts.profile else StallLimit()
 
 
 def verdict_of(run: Run, facts: RunFacts) -> tuple[Verdict, Coverage]:

@@ -11,7 +11,7 @@ import numpy as np
 from hilrunner.base import histogram_scale, records, status
 from hilrunner.base.errors import LogError
 from hilrunner.base.histogram_scale import PERCENTILE_RATIOS
-from hilrunner.base.records import HISTOGRAM_NAMES, TICK_FLAG_MISS
+from hilrunner.base.records import HISTOGRAM_NAMES, TICK_FLAG_MISS, TICK_FLAG_SKIPPED
 from hilrunner.evidence.budget import SKIPPED_PERIODS_MAX
 from hilrunner.evidence.facts import RunFacts
 from hilrunner.evidence.reader import Run
@@ -76,7 +76,7 @@ class Latency:
     """Everything about time in one run."""
 
     period_ns: int
-    tick_count: int  # logged
+    tick_count: int  # logged, without the skipped periods
     warm_up_ticks: int  # of these, left out of the statistics
     duration_s: float
     skipped_count: int
@@ -97,13 +97,15 @@ def measure_latency(run: Run, facts: RunFacts, responses_ns: np.ndarray) -> Late
         responses_ns: int64[n], of evidence.bus; without any, the loop's own histogram of responses is told.
 
     A skipped period counts as a wake-up that came with the next tick that ran: the plant was served no earlier
-    (coordinated omission, HdrHistogram).
+    (coordinated omission, HdrHistogram). Where it has a row of its own, the row says so; it has no durations.
     """
     ticks = run.tick
     kept = ticks[ticks["tick"] >= facts.warm_up_ticks]
     number = kept["tick"].astype(np.int64)
     wake_lateness = kept["wake_mono_ns"] - kept["deadline_mono_ns"]
-    execution = kept["end_mono_ns"] - kept["wake_mono_ns"]
+    skipped = (kept["flags"] & TICK_FLAG_SKIPPED) != 0
+    ran = kept[~skipped]
+    execution = ran["end_mono_ns"] - ran["wake_mono_ns"]
     gap = np.diff(number, prepend=number[:1] - 1) - 1
     if len(gap):
         gap[0] = kept["skipped_count"][0]
@@ -117,9 +119,9 @@ def measure_latency(run: Run, facts: RunFacts, responses_ns: np.ndarray) -> Late
     _check_skipped(run, int(kept["skipped_count"].sum(dtype=np.int64)))
     add("wake_lateness", _with_skipped(wake_lateness, kept["skipped_count"], facts.period_ns))
     for name in ("receive", "decode", "step", "encode", "record"):
-        add(name, kept[f"{name}_ns"])
+        add(name, ran[f"{name}_ns"])
     add("execution", execution)
-    add("period", np.diff(kept["wake_mono_ns"])[lost[1:] == 0])
+    add("period", np.diff(ran["wake_mono_ns"])[np.diff(np.cumsum(lost)[~skipped]) == 0])
     add("command_age", _command_ages(run, facts))
     if len(responses_ns):
         distributions["response"] = distribution("response", responses_ns, "frames")
@@ -131,10 +133,10 @@ def measure_latency(run: Run, facts: RunFacts, responses_ns: np.ndarray) -> Late
     worst = np.argsort(-wake_lateness, kind="stable")[:WORST_COUNT]
     return Latency(
         period_ns=facts.period_ns,
-        tick_count=len(ticks),
-        warm_up_ticks=len(ticks) - len(kept),
+        tick_count=int(np.count_nonzero((ticks["flags"] & TICK_FLAG_SKIPPED) == 0)),
+        warm_up_ticks=int(np.count_nonzero((ticks["flags"][: len(ticks) - len(kept)] & TICK_FLAG_SKIPPED) == 0)),
         duration_s=(int(ticks["tick"][-1]) + 1) * facts.period_ns * 1e-9 if len(ticks) else 0.0,
-        skipped_count=int(kept["skipped_count"].sum()),
+        skipped_count=int(kept["skipped_count"].sum()) + int(skipped.sum()),
         lost_count=int(lost.sum()),
         miss_count=sum(causes.values()),
         misses=misses,
@@ -142,7 +144,11 @@ def measure_latency(run: Run, facts: RunFacts, responses_ns: np.ndarray) -> Late
         distributions={name: distributions[name] for name in HISTOGRAM_NAMES if name in distributions},
         loop=loop_distributions(run),
         worst_wake=[(int(number[k]), int(wake_lateness[k])) for k in worst],
-        timeline=_timeline(number * (facts.period_ns * 1e-9), wake_lateness, execution),
+        timeline=_timeline(
+            number * (facts.period_ns * 1e-9),
+            wake_lateness,
+            np.where(skipped, 0, kept["end_mono_ns"] - kept["wake_mono_ns"]),
+        ),
     )
 
 

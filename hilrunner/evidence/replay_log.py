@@ -9,7 +9,8 @@ from hilrunner.base.state_layout import STATE_SIZE
 from hilrunner.evidence.reader import Run
 from hilrunner.evidence.replay import Replay
 from hilrunner.evidence.replay_dae import AxisDae
-from hilrunner.record.mcap_log import LOG_LEVEL_INFO, LogWriter
+from hilrunner.record.levels import LOG_LEVEL_INFO
+from hilrunner.record.mcap_log import LogWriter
 
 _BLOCK = 1000  # ticks between flushes: about a second, so that every topic of a second lies together
 

@@ -11,16 +11,17 @@ from pathlib import Path
 import numpy as np
 
 from hilrunner.base import records
-from hilrunner.base.records import TICK_FLAG_MISS
+from hilrunner.base.records import TICK_FLAG_MISS, TICK_FLAG_SKIPPED
 from hilrunner.evidence.bus import BusTally
 from hilrunner.evidence.check_use import CheckTally
 from hilrunner.evidence.coverage import Count, coverage_of
 from hilrunner.evidence.facts import RunFacts, read_facts
-from hilrunner.evidence.judging import silent_axes
+from hilrunner.evidence.judging import silent_axes, stall_limit
 from hilrunner.evidence.latency import Latency, Timeline, loop_distributions
 from hilrunner.evidence.limit_measures import Measured
 from hilrunner.evidence.plant_use import AxisTally, reference_m
 from hilrunner.evidence.reader import Attachment, Run
+from hilrunner.evidence.stalls import logged_stall_problem
 from hilrunner.evidence.verdict import MEMORY, Subject, judge
 from hilrunner.setup.limits import SETTLING_SPEED_MMPS
 
@@ -49,7 +50,7 @@ class Tally:
         self._metadata = {name: dict(table) for name, table in metadata.items()}
         self._attachments = {name: Attachment(media_type, data) for name, media_type, data in attachments}
         self._frames, self._checks = BusTally(), CheckTally(keep_traces=False)
-        self._counts = dict.fromkeys(("ticks", "warm_up", "frames", "miss_rows", "skipped"), 0)
+        self._counts = dict.fromkeys(("ticks", "ran", "warm_up", "frames", "miss_rows", "skipped"), 0)
         self._late_ticks: set[int] = set()
         self._facts = read_facts(self._run())
         speed = self._facts.limits.get("settling_speed_mmps", SETTLING_SPEED_MMPS)
@@ -62,9 +63,11 @@ class Tally:
         if not len(tick):
             return
         counted = tick["tick"] >= self._facts.warm_up_ticks
+        skipped = (tick["flags"] & TICK_FLAG_SKIPPED) != 0
         self._counts["ticks"] += len(tick)
-        self._counts["warm_up"] += int((~counted).sum())
-        self._counts["skipped"] += int(tick["skipped_count"][counted].sum())
+        self._counts["ran"] += int((~skipped).sum())
+        self._counts["warm_up"] += int((~counted & ~skipped).sum())
+        self._counts["skipped"] += int(tick["skipped_count"][counted].sum()) + int((counted & skipped).sum())
         self._late_ticks |= set(tick["tick"][counted & ((tick["flags"] & TICK_FLAG_MISS) != 0)].tolist())
         for index, name in enumerate(self._names):
             of_axis = slice(index, None, len(self._names))
@@ -101,6 +104,10 @@ class Tally:
         """None: nothing is kept."""
         return {}
 
+    def is_in_place(self) -> bool:
+        """Always: there is no file."""
+        return True
+
     def flush(self) -> None:
         """Nothing is pending."""
 
@@ -129,6 +136,7 @@ class Tally:
             measured=Measured(self._latency(run, facts), bus, axes, checks, coverage, self._names),
             profile_problem=facts.profile_problem,
             silent_axes=silent_axes(run, facts, axes, self._names),
+            stall_problem=logged_stall_problem(run.metadata.get("run", {}), stall_limit(facts)),
             source=MEMORY,
         )
 
@@ -137,7 +145,7 @@ class Tally:
         nothing = np.zeros(0)
         return Latency(
             period_ns=facts.period_ns,
-            tick_count=self._counts["ticks"],
+            tick_count=self._counts["ran"],
             warm_up_ticks=self._counts["warm_up"],
             duration_s=0.0,
             skipped_count=self._counts["skipped"],

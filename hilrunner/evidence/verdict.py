@@ -25,6 +25,8 @@ _PLANNED = tuple(
 _END_CODES = {
     status.EXIT_NAMES[status.EXIT_CAN_LOST]: exit_codes.CAN_LOST,
     status.EXIT_NAMES[status.EXIT_DEADLINE]: exit_codes.DEADLINE_BUDGET_EXCEEDED,
+    status.EXIT_NAMES[status.EXIT_STALLED]: exit_codes.BENCH_FAILED,
+    status.EXIT_NAMES[status.EXIT_SYSTEM_CALL]: exit_codes.BENCH_FAILED,
 }
 _MODEL_KEYS = ("check_failures_max", "check_pressure_mpa_max", "check_position_mm_max")
 _CHECK_DEFAULTS = ("check_failures_max", "unchecked_ticks_max")
@@ -73,6 +75,7 @@ class Subject:
     mismatches: tuple[str, ...] = ()  # parts of the log that do not match their checksums
     missing_fields: dict[str, tuple[str, ...]] | None = None
     silent_axes: tuple[str, ...] | None = None  # never got a valid command; None: no firmware was meant to send one
+    stall_problem: str | None = None  # why the bench itself failed; empty: it did its part; None: not told
     source: str = LOG
     requirements: tuple[Judged, ...] = ()
 
@@ -138,6 +141,7 @@ def judge(subject: Subject) -> Verdict:
         _judge_end(subject.exit_reason),
         *_judge_log(subject),
         _judge_profile(subject),
+        *_judge_bench(subject.stall_problem),
         *_judge_firmware(subject),
     ]
     limits = DEFAULTS | subject.limits
@@ -203,6 +207,13 @@ def _known_so_far(coverage: Coverage) -> str:
 def _judge_profile(subject: Subject) -> Judgement:
     problem = subject.profile_problem
     return said("profile_readable", "the limits can be read", None if problem else True, problem)
+
+
+def _judge_bench(problem: str | None) -> list[Judgement]:
+    if problem is None:
+        return []
+    doc = "the host let the bench serve its periods (deadline.stall_ms)"
+    return [said("bench_served", doc, not problem, problem, exit_codes.BENCH_FAILED)]
 
 
 def _judge_firmware(subject: Subject) -> list[Judgement]:

@@ -22,17 +22,28 @@ _DATA_AT = 8  # data bytes in struct can_frame and struct canfd_frame
 _FD_FLAGS = 0x04  # CANFD_FDF
 
 
-@entry  # cached by itself: what calls it need not compile it again
-def decode_stage(bench, tick, frame_count):
-    """Take the frames of this period: check each, keep the newest valid command of every axis, count all.
+@hot
+def decode_stage(bench, tick, first, end):
+    """Take the frames of this period, places `first` to `end` - 1 of the inbox: the newest valid command of every axis holds.
 
     Writes commands, last_counter, frame_axis, frame_status and the ring's frame counters.
     """
-    axis_count = bench.commands.shape[0]
-    for axis in range(axis_count):
+    begin_period(bench)
+    decode_frames(bench, tick, first, end)
+
+
+@hot
+def begin_period(bench):
+    """No frame has come in this period yet."""
+    for axis in range(bench.commands.shape[0]):
         bench.commands[axis]["status"] = FRAME_STATUS_NONE
-    bench.progress[0]["echo_real_ns"] = 0
-    for k in range(frame_count):
+
+
+@entry  # cached by itself: what calls it need not compile it again
+def decode_frames(bench, tick, first, end):
+    """Check each of these frames of the inbox, keep the newest valid command of every axis, count all."""
+    axis_count = bench.commands.shape[0]
+    for k in range(first, end):
         axis, code = _decode_one(bench, tick, k)
         in_table = 0 <= axis < axis_count
         bench.frame_axis[k] = axis if in_table else NO_AXIS_BYTE
@@ -57,9 +68,20 @@ def _decode_one(bench, tick, k):
     if length > size - _DATA_AT:
         return np.int64(-1), np.int64(status.FRAME_WRONG_LENGTH)
     axis, code = decode_command(bench.command_table, can_id, length, frame[_DATA_AT:], bench.last_counter, bench.fresh)
+    if code == status.FRAME_UNKNOWN_ID:
+        code = _foreign_status(bench.measurement_table, can_id)
     if axis >= 0 and code == status.FRAME_VALID and faults.acts(bench.faults, faults.COMMAND_LOST, axis, tick):
         return np.int64(-1), np.int64(status.FRAME_UNKNOWN_ID)
     return np.int64(axis), np.int64(code)
+
+
+@hot
+def _foreign_status(table, can_id):
+    """Of a frame that is no command: an identifier this bench sends is another bench's, for its own are not received."""
+    for message in range(table.message_count):
+        if np.int64(table.can_id[message]) == can_id:
+            return status.FRAME_OWN_ID
+    return status.FRAME_UNKNOWN_ID
 
 
 @entry  # cached by itself: what calls it need not compile it again
@@ -244,7 +266,7 @@ def _run_offline(bench, ticks, period_counts, miss_counts, forced, frames, sizes
         if forced[i] != 0:
             for axis in range(bench.commands.shape[0]):
                 command.force_fail_safe(bench.commands, axis)
-        decode_stage(bench, tick, count)
+        decode_stage(bench, tick, 0, count)
         flags = step_stage(bench, tick, period_counts[i])
         encode_stage(bench, tick)
         for axis in range(bench.state.shape[0]):

@@ -28,6 +28,8 @@ CONFIG = np.dtype(
         ("total_miss_action", "i8"),
         ("lateness_ns_max", "i8"),
         ("lateness_action", "i8"),
+        ("stall_ns_max", "i8"),  # longest time without a served period; -1: not watched
+        ("stall_action", "i8"),
         ("stimulus_tick_count", "i8"),  # 0: commands come from the bus
         ("schedstat_fd", "i8"),
         ("record", "i8"),  # 1: fill the ring
@@ -39,7 +41,8 @@ CONFIG = np.dtype(
 ACTION_WARN = 0
 ACTION_FAIL_SAFE = 1
 ACTION_STOP = 2
-ACTION_NAMES = ("warn", "fail-safe", "stop")
+ACTION_FAIL = 3  # the run goes on, its verdict fails
+ACTION_NAMES = ("warn", "fail-safe", "stop", "fail")
 
 # Counters of one run; written by the loop only, never reset during a run.
 PROGRESS = np.dtype(
@@ -63,6 +66,15 @@ PROGRESS = np.dtype(
         ("rehearsal_ns", "i8"),  # how long a rehearsal is expected to take; 0: none yet
         ("rehearsal_ns_min", "i8"),  # the shortest so far
         ("echo_real_ns", "i8"),  # receive stamp of the command this tick answers; 0: none
+        ("inbox_head", "i8"),  # first frame of the inbox that no period has taken yet
+        ("inbox_tail", "i8"),  # first free place of the inbox
+        ("frames_end", "i8"),  # behind the last frame of the inbox that belongs to this tick (`late`)
+        ("periods_due", "i8"),  # grid periods the step of this tick advances (`late`)
+        ("served_mono_ns", "i8"),  # when the newest period was served
+        ("emptied_mono_ns", "i8"),  # when the socket was last seen empty: what waits came later
+        ("emptied_before_mono_ns", "i8"),  # the same as known before this tick: its frames came later
+        ("placed_mono_ns", "i8"),  # when the newest frame that `late` has placed came
+        ("clock_offset_ns", "i8"),  # CLOCK_REALTIME - CLOCK_MONOTONIC, as last seen
     ],
     align=True,
 )
@@ -97,6 +109,7 @@ class Bench(NamedTuple):
     outbox: Mailbox
     frame_axis: np.ndarray  # (inbox,) int64: axis of each received frame; 255: none
     frame_status: np.ndarray  # (inbox,) int64: status.FRAME_* of each received frame
+    frame_period: np.ndarray  # (inbox,) int64: period in which each frame came, by its stamp (`late`)
     phase_ns: np.ndarray  # (PHASE_COUNT,) int64: durations of this tick
     rusage: np.ndarray  # (18,) int64: struct rusage
     schedstat_text: np.ndarray  # (64,) uint8

@@ -2,7 +2,11 @@
 
 The grid never moves: tick k is due at start + k period. A tick that ends past the end of its period is a miss. After a miss the next
 tick starts at once if less than a whole period is lost, so 0.1 ms late costs 0.1 ms; whole lost periods are handled by the
-overrun policy: `skip` (their frames are not sent; the plant advances through them), `catch-up` (each is run in full, late), `stop`.
+overrun policy: `skip` (computed at once by `late`, nothing of them is sent), `catch-up` (each is run in full, late), `stop`.
+
+A stall may hit anywhere: while the loop sleeps, works, or takes its frames. So it is looked for where the frames have just been
+taken: a tick that is a whole period late by then gives its place to the newest one that is due. The last tick of the grid is run
+in any case, however late.
 """
 
 import numpy as np
@@ -10,18 +14,20 @@ import numpy as np
 from hilrunner.base import ring as ring_layout
 from hilrunner.base import status
 from hilrunner.base.compiled import entry, hot
-from hilrunner.base.records import (
-    CAN_FRAME_SENT,
-    HISTOGRAM_NAMES,
-    TICK_FLAG_FORCED_FAIL_SAFE,
-    TICK_FLAG_MISS,
-    TICK_FLAG_NEAR_MISS,
-)
+from hilrunner.base.records import HISTOGRAM_NAMES
 from hilrunner.realtime import command, ring
-from hilrunner.realtime.clock import WORD_CYCLE_RATE, anchor, now_mono_ns, now_real_ns
-from hilrunner.realtime.cycle import decode_stage, encode_stage, fill_command_record, fill_state_record, step_stage
+from hilrunner.realtime.clock import (
+    WORD_CYCLE_RATE,
+    WORD_FAILURE,
+    anchor,
+    clock_offset_ns,
+    now_mono_ns,
+    now_real_ns,
+)
+from hilrunner.realtime.cycle import decode_stage, encode_stage, step_stage
 from hilrunner.realtime.handle import handle
 from hilrunner.realtime.histogram import record_corrected, record_value
+from hilrunner.realtime.late import serve_late
 from hilrunner.realtime.layout import ACTION_FAIL_SAFE, ACTION_STOP, Bench
 from hilrunner.realtime.miss import (
     USAGE_CPU,
@@ -32,6 +38,7 @@ from hilrunner.realtime.miss import (
     read_usage,
     suspect_cause,
 )
+from hilrunner.realtime.recording import record_received, record_sent, record_tick
 from hilrunner.realtime.rehearsal import rehearsal_of
 from hilrunner.realtime.socketcan import receive_frames, send_frames
 from hilrunner.realtime.waiting import wait_for_tick
@@ -43,6 +50,7 @@ _EXECUTION = HISTOGRAM_NAMES.index("execution")
 _PERIOD = HISTOGRAM_NAMES.index("period")
 _COMMAND_AGE = HISTOGRAM_NAMES.index("command_age")
 _RESPONSE = HISTOGRAM_NAMES.index("response")
+_RESPONSE_SLACK_NS = 1_000_000  # between two readings of two clocks
 NO_BUS = -1
 
 
@@ -71,11 +79,11 @@ def _run(bench, shadow, descriptor, start_mono_ns, tick_limit):
     period_ns = config["period_ns"]
     tick = np.int64(0)
     skipped = np.int64(0)
+    last_tick = _last_tick(config, tick_limit)
+    _begin(bench, start_mono_ns)
     reason = np.int64(status.EXIT_RUNNING)
-    read_usage(config["schedstat_fd"], bench.rusage, bench.schedstat_text, bench.usage_before)
-    progress["wake_mono_ns_before"] = 0
     while reason == status.EXIT_RUNNING:
-        reason = _end_reason(bench, tick, tick_limit)
+        reason = _end_reason(bench, tick, skipped, tick_limit)
         if reason != status.EXIT_RUNNING:
             break
         deadline_mono_ns = start_mono_ns + tick * period_ns
@@ -84,21 +92,57 @@ def _run(bench, shadow, descriptor, start_mono_ns, tick_limit):
         if ahead_ns > 0:
             wait_for_tick(bench, shadow, descriptor, tick, deadline_mono_ns)
         wake_ns = anchor(bench.clock)  # before anything of the tick is touched: those memory lines are cold
-        reason = _run_tick(bench, descriptor, tick, skipped, deadline_mono_ns, wake_ns)
-        late_ns = now_mono_ns(bench.clock) - (deadline_mono_ns + period_ns)
+        if bench.clock[WORD_FAILURE] != 0:  # the time may not have come at all
+            return np.int64(status.EXIT_SYSTEM_CALL)
+        reason = _run_tick(bench, descriptor, tick, skipped, last_tick, deadline_mono_ns, wake_ns)
+        tick = progress["tick"]
+        late_ns = now_mono_ns(bench.clock) - (start_mono_ns + (tick + 1) * period_ns)
+        before = skipped
         skipped = np.int64(0)
-        if late_ns >= period_ns and config["overrun"] == status.OVERRUN_SKIP:
-            skipped = late_ns // period_ns
-            progress["skipped_count"] += skipped
-            bench.ring.header[ring_layout.WORD_SKIPPED_TOTAL * _STRIDE] += skipped
+        if late_ns >= period_ns and config["overrun"] == status.OVERRUN_SKIP and tick < last_tick:
+            skipped = min(late_ns // period_ns, last_tick - tick - 1)
+        if reason == status.EXIT_RUNNING and _asked_to_stop(bench) and (skipped == 0 or before > 0):
+            reason = np.int64(status.EXIT_SIGNAL)
         tick += 1 + skipped
+    if tick_limit > 0:
+        _note_stall(bench, now_mono_ns(bench.clock) - progress["served_mono_ns"] - period_ns, tick)
+    if bench.clock[WORD_FAILURE] != 0:
+        return np.int64(status.EXIT_SYSTEM_CALL)
     return reason
 
 
 @hot
-def _end_reason(bench, tick, tick_limit):
-    """Why the run ends before this tick, or EXIT_RUNNING."""
-    if bench.ring.header[ring_layout.WORD_STOP_REQUEST * _STRIDE] != 0:
+def _begin(bench, start_mono_ns):
+    """What must hold before tick 0."""
+    progress = bench.progress[0]
+    read_usage(bench.config[0]["schedstat_fd"], bench.rusage, bench.schedstat_text, bench.usage_before)
+    progress["wake_mono_ns_before"] = 0
+    progress["served_mono_ns"] = start_mono_ns - bench.config[0]["period_ns"]
+    progress["emptied_mono_ns"] = 0
+    progress["emptied_before_mono_ns"] = 0
+    progress["inbox_head"] = 0
+    progress["inbox_tail"] = 0
+    progress["clock_offset_ns"] = clock_offset_ns(bench.clock)
+
+
+@hot
+def _last_tick(config, tick_limit):
+    """The last tick of the grid: it is run however late, so that the run is as long as it was meant to be."""
+    last = np.int64(tick_limit)
+    if config["stimulus_tick_count"] > 0:
+        last = min(last, config["stimulus_tick_count"])
+    return last - 1
+
+
+@hot
+def _asked_to_stop(bench):
+    return bench.ring.header[ring_layout.WORD_STOP_REQUEST * _STRIDE] != 0
+
+
+@hot
+def _end_reason(bench, tick, skipped, tick_limit):
+    """Why the run ends before this tick, or EXIT_RUNNING. Periods that were skipped are computed before a stop is heeded."""
+    if skipped == 0 and _asked_to_stop(bench):
         return np.int64(status.EXIT_SIGNAL)
     if tick >= tick_limit:
         return np.int64(status.EXIT_DURATION)
@@ -109,52 +153,138 @@ def _end_reason(bench, tick, tick_limit):
 
 
 @hot
-def _run_tick(bench, descriptor, tick, skipped, deadline_mono_ns, wake_ns):
-    """One period: receive, decode, step, encode and send, record, account. Returns status.EXIT_*."""
+def _run_tick(bench, descriptor, tick, skipped, last_tick, deadline_mono_ns, wake_ns):
+    """One period: receive, decode, step, encode and send, record, account. Returns status.EXIT_*.
+
+    progress["tick"] tells which one was run: a later one than `tick` where that was found late by whole periods.
+    """
     progress = bench.progress[0]
-    progress["tick"] = tick
+    period_ns = bench.config[0]["period_ns"]
     clock = bench.clock
+    progress["tick"] = tick
+    progress["echo_real_ns"] = 0
 
-    received = np.int64(0)
-    if descriptor >= 0:
-        received = receive_frames(descriptor, bench.inbox)
-        if received < 0:
-            progress["bus_errno"] = -received
-            received = np.int64(0)
+    placed = progress["inbox_tail"]
+    _receive(bench, descriptor)
     received_ns = now_mono_ns(clock)
+    progress["emptied_before_mono_ns"] = progress["emptied_mono_ns"]
+    if progress["inbox_tail"] < bench.inbox.frame.shape[0]:
+        progress["emptied_mono_ns"] = received_ns
 
-    decode_stage(bench, tick, received)
+    due_mono_ns = deadline_mono_ns + period_ns  # when the first period that nobody has judged yet had to be over
+    late_ns = received_ns - deadline_mono_ns
+    if received_ns - wake_ns >= period_ns:  # it stood still on the way to its frames: that was no wake-up yet
+        wake_ns = received_ns
+    if late_ns >= period_ns and bench.config[0]["overrun"] == status.OVERRUN_SKIP and tick < last_tick:
+        more = min(late_ns // period_ns, last_tick - tick)
+        tick += more
+        skipped += more
+        deadline_mono_ns += more * period_ns
+    stalled = _note_stall(bench, wake_ns - progress["served_mono_ns"] - period_ns, tick)
+    progress["served_mono_ns"] = wake_ns
+
+    progress["frames_end"] = progress["inbox_tail"]
+    progress["periods_due"] = 1
+    if late_ns >= period_ns or skipped > 0:
+        reason = serve_late(bench, descriptor, tick, skipped, deadline_mono_ns, wake_ns, received_ns, placed)
+        if reason != status.EXIT_RUNNING:
+            return reason
+        progress["tick"] = tick
+    reason = _serve_tick(bench, descriptor, tick, skipped, deadline_mono_ns, due_mono_ns, wake_ns, received_ns)
+    if reason == status.EXIT_RUNNING and stalled:
+        return np.int64(status.EXIT_STALLED)
+    return reason
+
+
+@hot
+def _serve_tick(bench, descriptor, tick, skipped, deadline_mono_ns, due_mono_ns, wake_ns, received_ns):
+    """Everything of a tick behind its frames: decode, step, encode and send, record, account."""
+    progress = bench.progress[0]
+    clock = bench.clock
+    first = progress["inbox_head"]
+    end = progress["frames_end"]
+    periods = progress["periods_due"]
+
+    begin_ns = now_mono_ns(clock) if skipped > 0 else received_ns
+    decode_stage(bench, tick, first, end)
     decoded_ns = now_mono_ns(clock)
 
-    flags = step_stage(bench, tick, skipped + 1)
+    flags = step_stage(bench, tick, periods)
     stepped_ns = now_mono_ns(clock)
 
     due = encode_stage(bench, tick)
     sent = _send(bench, descriptor, due)
-    response_ns = _response_ns(bench, sent)
+    real_ns = np.int64(0)
+    if progress["echo_real_ns"] != 0 and sent > 0:  # no clock call in a tick that answers nothing
+        real_ns = now_real_ns(clock)
     sent_ns = now_mono_ns(clock)
 
     bench.phase_ns[status.PHASE_RECEIVE] = received_ns - wake_ns
-    bench.phase_ns[status.PHASE_DECODE] = decoded_ns - received_ns
-    bench.phase_ns[status.PHASE_STEP] = stepped_ns - decoded_ns
+    bench.phase_ns[status.PHASE_DECODE] = decoded_ns - begin_ns
+    bench.phase_ns[status.PHASE_STEP] = stepped_ns - decoded_ns + (begin_ns - received_ns)
     bench.phase_ns[status.PHASE_ENCODE] = sent_ns - stepped_ns
     progress["tick_count"] += 1
-    progress["frames_received"] += received
+    progress["frames_received"] += end - first
     progress["flags_seen"] |= flags
 
-    _record_frames(bench, tick, received, due, sent, wake_ns, sent_ns)
-    dropped = _record_tick(bench, tick, skipped, deadline_mono_ns, wake_ns, received, sent_ns)
+    record_received(bench, tick, first, end, wake_ns)
+    record_sent(bench, tick, sent, sent_ns)
+    _use_up(progress, end)
+    dropped = record_tick(bench, tick, periods - 1, deadline_mono_ns, wake_ns, end - first, due_mono_ns)
     recorded_ns = now_mono_ns(clock)
     bench.phase_ns[status.PHASE_RECORD] = recorded_ns - sent_ns
     progress["record_ns_before"] = recorded_ns - sent_ns
 
-    reason = _judge_tick(bench, tick, skipped, deadline_mono_ns, wake_ns, recorded_ns, received, dropped)
+    reason = _judge_tick(bench, tick, skipped, due_mono_ns, wake_ns, recorded_ns, end - first, dropped)
+    response_ns = _response_ns(progress, real_ns, sent_ns)
     _count_times(bench, tick, skipped, deadline_mono_ns, wake_ns, recorded_ns, response_ns)
     if progress["bus_errno"] != 0:
         return np.int64(status.EXIT_CAN_LOST)
     if flags & status.FLAG_NOT_FINITE:
         return np.int64(status.EXIT_NOT_FINITE)
     return reason
+
+
+@hot
+def _receive(bench, descriptor):
+    """Take the waiting frames into the inbox, behind those that wait there; a bus that is gone is noted."""
+    if descriptor < 0:
+        return
+    progress = bench.progress[0]
+    tail = np.int64(receive_frames(descriptor, bench.inbox, progress["inbox_tail"]))
+    if tail < 0:
+        progress["bus_errno"] = -tail
+        return
+    progress["inbox_tail"] = tail
+    dropped = (bench.inbox.overflow[0] - max(bench.inbox.overflow[1], 0)) & 0xFFFFFFFF  # the kernel counts in 32 bits
+    if dropped != bench.ring.header[ring_layout.WORD_KERNEL_DROPPED * _STRIDE]:
+        bench.ring.header[ring_layout.WORD_KERNEL_DROPPED * _STRIDE] = dropped
+
+
+@hot
+def _use_up(progress, frames_end):
+    """The frames up to here have had their period; an empty inbox begins anew."""
+    progress["inbox_head"] = frames_end
+    if frames_end == progress["inbox_tail"]:
+        progress["inbox_head"] = 0
+        progress["inbox_tail"] = 0
+
+
+@hot
+def _note_stall(bench, silent_ns, tick):
+    """Count a time in which no period was served, beyond the period itself; True when the run must end for it."""
+    header = bench.ring.header
+    if silent_ns > header[ring_layout.WORD_STALL_NS_MAX * _STRIDE]:
+        header[ring_layout.WORD_STALL_NS_MAX * _STRIDE] = silent_ns
+    limit_ns = bench.config[0]["stall_ns_max"]
+    if limit_ns < 0 or silent_ns <= limit_ns:
+        return False
+    header[ring_layout.WORD_STALL_NS_LAST * _STRIDE] = silent_ns
+    header[ring_layout.WORD_STALL_TICK_LAST * _STRIDE] = tick
+    if header[ring_layout.WORD_STALL_COUNT * _STRIDE] == 0:
+        header[ring_layout.WORD_STALL_TICK_FIRST * _STRIDE] = tick + 1
+    header[ring_layout.WORD_STALL_COUNT * _STRIDE] += 1
+    return bench.config[0]["stall_action"] == ACTION_STOP
 
 
 @hot
@@ -173,92 +303,34 @@ def _send(bench, descriptor, due):
 
 
 @hot
-def _response_ns(bench, sent):
-    """From the kernel's stamp of the newest command to its answer on the bus; -1 when this tick answers none."""
-    stamp_ns = bench.progress[0]["echo_real_ns"]
-    if stamp_ns == 0 or sent == 0:  # no clock call in a tick that answers nothing
+def _response_ns(progress, real_ns, sent_ns):
+    """From the kernel's stamp of the newest command to its answer on the bus; -1 when this tick answers none.
+
+    By CLOCK_MONOTONIC: the stamp, of CLOCK_REALTIME, is converted by the difference of the clocks as seen before the command came or
+    by the one now, whichever puts it into the time in which it can have come. Where neither does, the clock was set on the way.
+    """
+    if real_ns == 0:
         return np.int64(-1)
-    return now_real_ns(bench.clock) - stamp_ns
+    stamp_ns = progress["echo_real_ns"]
+    before_ns = progress["clock_offset_ns"]
+    progress["clock_offset_ns"] = real_ns - sent_ns
+    longest_ns = sent_ns - progress["emptied_before_mono_ns"] + _RESPONSE_SLACK_NS
+    response_ns = real_ns - stamp_ns
+    if 0 <= response_ns <= longest_ns:
+        return response_ns
+    response_ns = sent_ns + before_ns - stamp_ns
+    return response_ns if 0 <= response_ns <= longest_ns else np.int64(-1)
 
 
 @hot
-def _record_frames(bench, tick, received, due, sent, wake_ns, sent_ns):
-    if bench.config[0]["record"] == 0:
-        return
-    for k in range(received):
-        frame = bench.inbox.frame[k]
-        length = min(np.int64(frame[4]), np.int64(64))
-        fd = np.int64(1 if bench.inbox.size_bytes[k] > 16 else 0)
-        ring.push_can(
-            bench.ring, tick, _frame_id(frame), fd, length, bench.frame_status[k], bench.frame_axis[k],
-            bench.inbox.kernel_real_ns[k], wake_ns, frame, 8,
-        )  # fmt: skip
-    for k in range(sent):
-        frame = bench.outbox.frame[k]
-        fd = np.int64(1 if bench.outbox.size_bytes[k] > 16 else 0)
-        ring.push_can(
-            bench.ring, tick, _frame_id(frame), fd | CAN_FRAME_SENT, np.int64(frame[4]), np.int64(0), np.int64(255),
-            np.int64(0), sent_ns, frame, 8,
-        )  # fmt: skip
+def _judge_tick(bench, tick, skipped, due_mono_ns, wake_ns, end_ns, received, dropped):
+    """Count and explain a miss, and act on the profile's limits; status.EXIT_*.
 
-
-@hot
-def _frame_id(frame):
-    return np.int64(frame[0]) | np.int64(frame[1]) << 8 | np.int64(frame[2]) << 16 | np.int64(frame[3]) << 24
-
-
-@hot
-def _record_tick(bench, tick, skipped, deadline_mono_ns, wake_ns, received, sent_ns):
-    """Fill TICK, COMMAND and STATE of this tick and publish them together; True when the ring was full."""
-    if bench.config[0]["record"] == 0:
-        return False
-    box = bench.ring
-    header = box.header
-    capacity = box.tick.shape[0]
-    if not ring.has_room(header, ring_layout.WORD_TICK_WRITTEN, ring_layout.WORD_TICK_READ, capacity):
-        ring.count_drop(header, ring_layout.WORD_TICK_DROPPED)
-        return True
-    slot = header[ring_layout.WORD_TICK_WRITTEN * _STRIDE] & (capacity - 1)
-    axis_count = bench.state.shape[0]
-    for axis in range(axis_count):
-        fill_command_record(bench, axis, tick, box.command[slot * axis_count + axis])
-        fill_state_record(bench, axis, tick, box.state[slot * axis_count + axis])
-    row = box.tick[slot]
-    row["tick"] = tick
-    row["deadline_mono_ns"] = deadline_mono_ns
-    row["wake_mono_ns"] = wake_ns
-    row["receive_ns"] = bench.phase_ns[status.PHASE_RECEIVE]
-    row["decode_ns"] = bench.phase_ns[status.PHASE_DECODE]
-    row["step_ns"] = bench.phase_ns[status.PHASE_STEP]
-    row["encode_ns"] = bench.phase_ns[status.PHASE_ENCODE]
-    row["record_ns"] = bench.progress[0]["record_ns_before"]
-    row["frames_received"] = received
-    row["skipped_count"] = skipped
-    end_ns = now_mono_ns(bench.clock)
-    row["end_mono_ns"] = end_ns
-    row["flags"] = _tick_flags(bench, end_ns - (deadline_mono_ns + bench.config[0]["period_ns"]))
-    ring.publish(header, ring_layout.WORD_TICK_WRITTEN)
-    return False
-
-
-@hot
-def _tick_flags(bench, late_ns):
-    progress = bench.progress[0]
-    flags = TICK_FLAG_NEAR_MISS if late_ns > 0 or progress["near_miss_left"] > 0 else 0
-    if late_ns > 0:
-        flags |= TICK_FLAG_MISS
-    if progress["forced_fail_safe"] != 0:  # by a limit, after the tick before: the one input a replay cannot derive
-        flags |= TICK_FLAG_FORCED_FAIL_SAFE
-        progress["forced_fail_safe"] = 0
-    return flags
-
-
-@hot
-def _judge_tick(bench, tick, skipped, deadline_mono_ns, wake_ns, end_ns, received, dropped):
-    """Count and explain a miss, and act on the profile's limits; status.EXIT_*."""
+    due_mono_ns: when this tick had to be over; after a stall that nobody has judged yet, the first period lost to it.
+    """
     progress = bench.progress[0]
     config = bench.config[0]
-    late_ns = end_ns - (deadline_mono_ns + config["period_ns"])
+    late_ns = end_ns - due_mono_ns
     counted = tick >= config["warm_up_ticks"]
     # where a system call is dear the counters are read at misses only, and tell of the time since the miss before
     read = bench.clock[WORD_CYCLE_RATE] == 0 or late_ns > 0 or dropped
@@ -276,7 +348,8 @@ def _judge_tick(bench, tick, skipped, deadline_mono_ns, wake_ns, end_ns, receive
         if progress["near_miss_left"] > 0:
             progress["near_miss_left"] -= 1
     if counted and (late_ns > 0 or dropped):
-        _record_miss(bench, tick, skipped, late_ns, wake_ns - deadline_mono_ns, end_ns - wake_ns, received, dropped)
+        wake_lateness_ns = wake_ns - (due_mono_ns - config["period_ns"])
+        _record_miss(bench, tick, skipped, late_ns, wake_lateness_ns, end_ns - wake_ns, received, dropped)
     if read:
         for k in range(bench.usage_before.shape[0]):
             bench.usage_before[k] = bench.usage_after[k]

@@ -46,8 +46,8 @@ def rehearse(bench, shadow, descriptor, tick):
     waiting = np.int64(peek_frame(descriptor, shadow.inbox)) if descriptor >= 0 else np.int64(0)
     if waiting < 0:  # the kernel tells of a bus that is gone once, and to whoever asks first
         bench.progress[0]["bus_errno"] = -waiting
-    decode_stage(shadow, tick, max(waiting, 0))
-    step_stage(shadow, tick, np.int64(1))  # the type of the loop's own call: compiled once
+    decode_stage(shadow, tick, np.int64(0), max(waiting, 0))
+    step_stage(shadow, tick, np.int64(1))  # the types of the loop's own calls: compiled once
     encode_stage(shadow, tick)
 
 

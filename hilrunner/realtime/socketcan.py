@@ -15,12 +15,14 @@ from hilrunner.base.compiled import hot
 FRAME_SIZE_CLASSIC = 16
 FRAME_SIZE_FD = 72
 RECEIVE_BATCH = 64  # frames one system call takes; a burst needs several
+INTERRUPTS_MAX = 100  # calls that do not wait are hardly ever interrupted: one that always is has failed for good
 CONTROL_SIZE = 64
 MSG_PEEK = 0x02
 MSG_DONTWAIT = 0x40
 SOL_SOCKET = 1
 SCM_TIMESTAMPNS = 35
 SO_RXQ_OVFL = 40
+NOT_COUNTED = -1
 
 EAGAIN = 11
 EINTR = 4
@@ -46,7 +48,7 @@ class Mailbox(NamedTuple):
     message: np.ndarray  # (n, 8) int64: struct mmsghdr
     vector: np.ndarray  # (n, 2) int64: struct iovec
     control: np.ndarray  # (n, CONTROL_SIZE) uint8
-    overflow: np.ndarray  # (1,) int64: frames the kernel dropped for want of receive buffer (SO_RXQ_OVFL)
+    overflow: np.ndarray  # (2,) int64: frames the kernel has dropped for want of receive buffer (SO_RXQ_OVFL): now, and before the first frame
 
 
 def make_mailbox(frame_count: int) -> Mailbox:
@@ -58,7 +60,7 @@ def make_mailbox(frame_count: int) -> Mailbox:
         message=np.zeros((frame_count, 8), np.int64),
         vector=np.zeros((frame_count, 2), np.int64),
         control=np.zeros((frame_count, CONTROL_SIZE), np.uint8),
-        overflow=np.zeros(1, np.int64),
+        overflow=np.array([0, NOT_COUNTED], np.int64),
     )
     for k in range(frame_count):
         box.vector[k] = (box.frame[k].ctypes.data, FRAME_SIZE_FD)
@@ -76,12 +78,14 @@ def last_errno():
 
 
 @hot
-def receive_frames(descriptor, box):
-    """Take all waiting frames, at most the mailbox; count >= 0, or -errno when the bus is gone.
+def receive_frames(descriptor, box, first):
+    """Take all waiting frames into the places of the mailbox from `first` on; the first place left free, or -errno.
 
-    One call of the kernel when fewer than RECEIVE_BATCH frames wait.
+    One call of the kernel when fewer than RECEIVE_BATCH frames wait. Any error but "nothing waits" and a few interrupts (EINTR)
+    means that the bus is gone.
     """
-    count = 0
+    count = np.int64(first)
+    interrupts = 0
     room = box.frame.shape[0]
     while count < room:
         wanted = min(RECEIVE_BATCH, room - count)
@@ -90,8 +94,11 @@ def receive_frames(descriptor, box):
         )
         if got < 0:
             error = last_errno()
-            if error == EAGAIN or error == EINTR:
+            if error == EAGAIN:
                 return count
+            if error == EINTR and interrupts < INTERRUPTS_MAX:
+                interrupts += 1
+                continue
             return -error
         for k in range(count, count + got):
             _take_message(box, k)
@@ -120,6 +127,8 @@ def _take_message(box, k):
     """Size and ancillary data of message k, its header made ready for the next one."""
     box.size_bytes[k] = box.message[k, 7] & 0xFFFFFFFF
     _read_control(box, k)
+    if box.overflow[1] == NOT_COUNTED:  # what was dropped before the run, while nobody had to read, is not its loss
+        box.overflow[1] = box.overflow[0]
     # as make_mailbox laid it: the kernel wrote into the headers of the messages it filled and into no others
     box.message[k, 1] = 0  # msg_namelen
     box.message[k, 5] = CONTROL_SIZE
@@ -150,7 +159,8 @@ def _read_control(box, k):
 def send_frames(descriptor, box, count):
     """Send the first `count` frames without blocking; frames sent, or -errno when the bus is gone.
 
-    A full transmit queue (ENOBUFS, EAGAIN) is not an error here: the caller counts what was not sent.
+    A full transmit queue (ENOBUFS, EAGAIN) is not an error here: the caller counts what was not sent. Nor are a few interrupts
+    (EINTR); any other error means that the bus is gone.
     """
     for k in range(count):
         box.vector[k, 1] = box.size_bytes[k]
@@ -159,17 +169,21 @@ def send_frames(descriptor, box, count):
         box.message[k, 5] = 0  # no ancillary data
         box.message[k, 4] = 0
         box.message[k, 6] = 0
-    sent = 0
+    sent = np.int64(0)
+    interrupts = 0
     while sent < count:
         got = np.int64(
             _sendmmsg(np.int32(descriptor), box.message[sent:].ctypes, np.uint32(count - sent), np.int32(MSG_DONTWAIT))
         )
         if got < 0:
             error = last_errno()
-            if error == EINTR:
+            if error == EINTR and interrupts < INTERRUPTS_MAX:
+                interrupts += 1
                 continue
             if error == EAGAIN or error == ENOBUFS:
                 return sent
             return -error
+        if got == 0:  # the kernel took none and says no reason: not sent
+            return sent
         sent += got
     return sent

@@ -6,6 +6,7 @@ Invariants: the first `size_bytes` bytes are whole records; blocks for the endin
 them before a chunk is accepted, so that the summary still fits when the disk is full. Format: mcap.dev/spec.
 """
 
+import contextlib
 import ctypes
 import errno
 import os
@@ -33,14 +34,19 @@ from mcap.records import (
 )
 
 from hilrunner.base.errors import LogError
+from hilrunner.record.file_lock import take_lock
 from hilrunner.record.seal import seal_record
 
 MAGIC = b"\x89MCAP0\r\n"
 ALLOCATION_STEP_BYTES = 1 << 20  # blocks are taken ahead in steps of this size while there is room
 ENDING_SPARE_BYTES = 16384  # DataEnd, footer, statistics, closing metadata
 FALLOC_FL_KEEP_SIZE = 1
-_DISK_ERRNOS = {errno.ENOSPC, errno.EFBIG, errno.EDQUOT, errno.EIO, errno.EROFS, errno.ENODEV}
-_NO_FALLOCATE_ERRNOS = {errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.ENODEV, errno.ESPIPE}
+_OWN_ERRNOS = {
+    errno.EBADF,
+    errno.EFAULT,
+    errno.EINVAL,
+}  # of a write: a fault of this program; all others are the disk's
+_NO_FALLOCATE_ERRNOS = {errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL, errno.ENODEV, errno.ESPIPE, errno.EINTR}
 
 _libc = ctypes.CDLL(None, use_errno=True)
 _libc.fallocate.argtypes = (ctypes.c_int, ctypes.c_int, ctypes.c_int64, ctypes.c_int64)
@@ -90,17 +96,41 @@ class McapFile:
         self._allocated_bytes = 0
         self._can_allocate = True
         self._in_head = True
+        self._fd = self._open()
+        self.append(MAGIC + record_bytes(Header(profile="", library=library)))
+
+    def _open(self) -> int:
+        """The file, locked as long as it is open and empty; what lies there is kept where the lock is another's."""
         try:
-            self._fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_CLOEXEC, 0o644)
+            fd = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
             raise LogError(
                 str(self.path),
                 f"the log cannot be created: {error.strerror}",
                 remedy="choose another --log or --no-log",
             ) from None
-        if not stat.S_ISREG(os.fstat(self._fd).st_mode):
-            self._refuse("not a regular file")
-        self.append(MAGIC + record_bytes(Header(profile="", library=library)))
+        try:
+            if not take_lock(fd):
+                raise LogError(
+                    str(self.path), "another run is writing this log", remedy="name another file, or end that run"
+                )
+            if not stat.S_ISREG(os.fstat(fd).st_mode):
+                raise _cannot_write(self.path, "not a regular file")
+            os.ftruncate(fd, 0)
+        except OSError as error:
+            os.close(fd)
+            raise _cannot_write(self.path, error.strerror) from None
+        except LogError:
+            os.close(fd)
+            raise
+        return fd
+
+    def is_in_place(self) -> bool:
+        """Whether the name still leads to this file, which has not been deleted, replaced, or unmounted."""
+        try:
+            return os.path.samestat(os.stat(self.path), os.fstat(self._fd))
+        except OSError:
+            return False
 
     def end_of_head(self) -> None:
         """From here on a refusing disk costs data; before, it is a LogError: nothing has been recorded yet."""
@@ -217,18 +247,16 @@ class McapFile:
                 self._write_ending(_short_ending(self._crc))
                 break
             self._take_back_chunk()
-        os.ftruncate(self._fd, self.size_bytes)
-        os.close(self._fd)
+        with contextlib.suppress(OSError):  # blocks allocated ahead stay; a disk that is gone has lost more than that
+            os.ftruncate(self._fd, self.size_bytes)
+        with contextlib.suppress(OSError):
+            os.close(self._fd)
 
     def _refuse(self, why: str) -> NoReturn:
-        if stat.S_ISREG(os.fstat(self._fd).st_mode):
+        if self.is_in_place():
             os.unlink(self.path)
         os.close(self._fd)
-        raise LogError(
-            str(self.path),
-            f"the log cannot be written: {why}",
-            remedy="free disk space, choose another --log, or --no-log",
-        )
+        raise _cannot_write(self.path, why)
 
     def _write_ending(self, ending: bytes) -> bool:
         if not self._write_all(ending):
@@ -304,7 +332,7 @@ class McapFile:
             if _libc.fallocate(self._fd, FALLOC_FL_KEEP_SIZE, self.size_bytes, length) == 0:
                 self._allocated_bytes = self.size_bytes + length
                 return True
-            if ctypes.get_errno() in _NO_FALLOCATE_ERRNOS:
+            if ctypes.get_errno() in _NO_FALLOCATE_ERRNOS:  # an interrupt as well: it is a service, not a must
                 self._can_allocate = False  # this file system cannot: a failing write is then taken back
                 return True
         return False
@@ -315,18 +343,25 @@ class McapFile:
             while view:
                 view = view[os.write(self._fd, view) :]
         except OSError as error:
-            if error.errno not in _DISK_ERRNOS:
+            if error.errno in _OWN_ERRNOS:
                 raise
             self._cut()
             return False
         return True
 
     def _cut(self) -> None:
-        """Back to the last whole record."""
+        """Back to the last whole record; what cannot be cut off is written over by the next one, or cut at the end."""
         if os.lseek(self._fd, 0, os.SEEK_CUR) != self.size_bytes:
-            os.ftruncate(self._fd, self.size_bytes)
             os.lseek(self._fd, self.size_bytes, os.SEEK_SET)
+            with contextlib.suppress(OSError):
+                os.ftruncate(self._fd, self.size_bytes)
             self._allocated_bytes = 0  # truncation freed what was allocated ahead
+
+
+def _cannot_write(path: Path, why: str) -> LogError:
+    return LogError(
+        str(path), f"the log cannot be written: {why}", remedy="free disk space, choose another --log, or --no-log"
+    )
 
 
 def _offset_of(index_record: bytes) -> int:

@@ -23,10 +23,6 @@ CHUNK_SIZE_BYTES = 1 << 20  # pending bytes that close a chunk
 BLOCK_SIZE_BYTES = 1 << 14  # of a chunk, before compression: some two dozen ticks of one axis
 COMPRESSION_LEVEL = 1  # zstd; measured on ticks with frames: level 3 costs a third more time for 2 % fewer bytes
 
-LOG_LEVEL_INFO = 20
-LOG_LEVEL_WARNING = 30
-LOG_LEVEL_ERROR = 40
-
 
 class LogWriter:
     """Writes one run.
@@ -85,6 +81,10 @@ class LogWriter:
     def size_bytes(self) -> int:
         """Bytes in the file so far."""
         return self._file.size_bytes
+
+    def is_in_place(self) -> bool:
+        """Whether the file still stands under its name."""
+        return self._file.is_in_place()
 
     @property
     def lost_bytes(self) -> int:

@@ -18,7 +18,8 @@ from hilrunner.record import config as recorder_config
 from hilrunner.record.check_worker import CheckWorker
 from hilrunner.record.drain import Drain
 from hilrunner.record.launch import READY_OPEN, READY_REFUSED, attach_ring
-from hilrunner.record.mcap_log import LOG_LEVEL_ERROR, LogWriter
+from hilrunner.record.levels import LOG_LEVEL_ERROR
+from hilrunner.record.mcap_log import LogWriter
 from hilrunner.record.read_back import check_attachments
 from hilrunner.record.recorder import Recorder
 

@@ -5,12 +5,14 @@ import time
 
 import numpy as np
 
+from hilrunner.base import records, status
 from hilrunner.base import ring as ring_layout
-from hilrunner.base import status
 from hilrunner.record.check_worker import CheckWorker
 from hilrunner.record.config import RecorderConfig
-from hilrunner.record.drain import Drain, Dropped
-from hilrunner.record.mcap_log import LOG_LEVEL_ERROR, LOG_LEVEL_INFO, LOG_LEVEL_WARNING, LogWriter
+from hilrunner.record.drain import Drain
+from hilrunner.record.levels import LOG_LEVEL_ERROR, LOG_LEVEL_INFO, LOG_LEVEL_WARNING
+from hilrunner.record.mcap_log import LogWriter
+from hilrunner.record.run_watch import RunWatch
 from hilrunner.record.statistics import (
     HISTOGRAM_ATTACHMENT,
     clamped_counts,
@@ -39,12 +41,13 @@ class Recorder:
         self.log = log
         self.check = check
         self.live = live
-        self.tick_count = 0
+        self.tick_count = 0  # rows taken, those of skipped periods among them
         self.frame_count = 0
         self.miss_count = 0
+        self.skipped_rows = 0
         self.last_tick = -1
         self.begin_mono_ns = time.monotonic_ns()
-        self._dropped = Dropped(0, 0, 0)
+        self._watch = RunWatch(drain, settings.period_ns)
         self._lost_bytes = 0
         self._check_error_told = False
 
@@ -61,6 +64,7 @@ class Recorder:
     def take_ticks(self, tick: np.ndarray, command: np.ndarray, state: np.ndarray) -> None:
         """Whole periods, in order."""
         self.tick_count += len(tick)
+        self.skipped_rows += int(np.count_nonzero(tick["flags"] & records.TICK_FLAG_SKIPPED))
         self.last_tick = int(tick["tick"][-1])
         offset_ns = self.start_real_ns - self.start_mono_ns
         log_real_ns = tick["end_mono_ns"] + offset_ns
@@ -107,7 +111,7 @@ class Recorder:
         """The loop's histograms so far."""
         if not self.tick_count or not (self.log or self.live):
             return
-        record = statistics_record(self.drain.ring, self.last_tick, self.tick_count)
+        record = statistics_record(self.drain.ring, self.last_tick, self.tick_count - self.skipped_rows)
         real_ns = self.start_real_ns + self.last_tick * self.settings.period_ns
         if self.log:
             self.log.write_statistics(record, real_ns + self.settings.period_ns, real_ns)
@@ -130,21 +134,25 @@ class Recorder:
             self.event(LOG_LEVEL_WARNING, f"live view stopped: {type(error).__name__}: {error}")
 
     def account(self) -> None:
-        """Tell of ticks the ring dropped and bytes the disk refused since the last call."""
-        dropped = self.drain.dropped()
-        if dropped != self._dropped:
-            kinds = zip(dropped._fields, dropped, self._dropped, strict=True)
-            told = [
-                f"{now - before} {kind} dropped near tick {self.last_tick}, {now} in all"
-                for kind, now, before in kinds
-                if now > before
-            ]
-            self.event(LOG_LEVEL_ERROR, f"ring full: {'; '.join(told)}")
-            self._dropped = dropped
-        if self.log and self.log.lost_bytes > self._lost_bytes:
-            self.drain.store(ring_layout.WORD_RECORDER_LOST_BYTES, self.log.lost_bytes)
-            self.event(LOG_LEVEL_ERROR, f"disk refused {self.log.lost_bytes} bytes ({self.log.lost_messages} messages)")
+        """Tell what has befallen run and log since the last call."""
+        for level, text in self._watch.news(self.last_tick):
+            self.event(level, text)
+        if self.log:
+            self._account_log()
+
+    def _account_log(self) -> None:
+        lacks = self.drain.word(ring_layout.WORD_LOG_LACKS)
+        found = lacks
+        if not self.log.is_in_place():
+            found |= ring_layout.LOG_LACKS_NAME
+        if self.log.lost_bytes > self._lost_bytes:
+            found |= ring_layout.LOG_LACKS_DATA
             self._lost_bytes = self.log.lost_bytes
+            self.drain.store(ring_layout.WORD_RECORDER_LOST_BYTES, self._lost_bytes)
+            self.event(LOG_LEVEL_ERROR, f"disk refused {self._lost_bytes} bytes ({self.log.lost_messages} messages)")
+        self.drain.store(ring_layout.WORD_LOG_LACKS, found)
+        if found & ~lacks & ring_layout.LOG_LACKS_NAME:
+            self.event(LOG_LEVEL_ERROR, ring_layout.LOG_LACKS_TEXTS[0])
 
     def finish(self, reason: int, error: list[str] | None = None) -> None:
         """Everything after the last record: cross-check worked off, events, histograms, metadata, end of the file.
@@ -164,9 +172,10 @@ class Recorder:
         for name, count in clamped_counts(self.drain.ring, self.settings.sent_signals).items():
             text = f"{name}: {count} values lay outside the signal's range and were sent as its end"
             self.event(LOG_LEVEL_WARNING, text)
+        self.account()
         if self.log:
             self.log.flush()
-            self.account()
+            self._account_log()
             histograms = histogram_text(self.drain.ring).encode()
             self.log.add_attachment(HISTOGRAM_ATTACHMENT, "application/json", histograms)
             self.log.close(self._closing_metadata(reason, error))
@@ -201,6 +210,8 @@ class Recorder:
             "memory_bytes_max": usage.ru_maxrss * 1024,
             "frames": frame_counts(self.drain.ring, self.settings.axis_names),
             "check": self.check.summary() if self.check else None,
+            "log_lacks": ring_layout.log_lacks(self.drain.ring),
+            "clock_sets": self._watch.clock_sets,
             "error": None,
         }
 
@@ -222,6 +233,15 @@ class Recorder:
             "dropped_frames": dropped.frames,
             "lost_bytes": self.log.lost_bytes,
             "lost_messages": self.log.lost_messages,
+            "skipped_rows": self.skipped_rows,
+            "skipped_periods": self.drain.word(ring_layout.WORD_SKIPPED_TOTAL),
+            "kernel_dropped_frames": self.drain.word(ring_layout.WORD_KERNEL_DROPPED),
+            "clock_sets": self._watch.clock_sets,
+            "log_lacks": "; ".join(ring_layout.log_lacks(self.drain.ring)),
+            "stall_ns_max": self.drain.word(ring_layout.WORD_STALL_NS_MAX),
+            "stall_count": self.drain.word(ring_layout.WORD_STALL_COUNT),
+            "stall_first_tick": self.drain.word(ring_layout.WORD_STALL_TICK_FIRST) - 1,  # -1: none
+            "stall_ns_last": self.drain.word(ring_layout.WORD_STALL_NS_LAST),
         }
         if error:
             ended["recorder_error"] = "; ".join(part for part in error if part)

@@ -14,12 +14,12 @@ _UNITS = {
 }
 
 _MEANINGS = {
-    "tick": "period number on the grid; a gap is skipped (or dropped) periods",
+    "tick": "period number on the grid; a gap is dropped (or skipped) periods",
     "deadline_mono_ns": "CLOCK_MONOTONIC: start_mono_ns + tick * period_ns",
     "wake_mono_ns": "CLOCK_MONOTONIC when the period began",
     "end_mono_ns": "CLOCK_MONOTONIC after the record phase",
     "record_ns": "record phase of the tick before",
-    "skipped_count": "whole periods skipped just before this tick",
+    "skipped_count": "whole periods skipped just before this tick that have no row of their own",
     "valve_command": "-1..1, as applied to the plant",
     "age_ns": "since the tick that received the newest valid command; -1: none yet",
     "mode": "mode of the axis: " + ", ".join(f"{i} {name}" for i, name in enumerate(status.MODE_NAMES)),
@@ -44,7 +44,9 @@ FORCED_FAIL_SAFE = "fail-safe forced just before this tick by a deadline limit"
 
 # the same field name with another meaning by message
 _MEANINGS_BY_MESSAGE = {
-    ("Tick", "flags"): f"bit 0: late (a miss), bit 1: near a miss, bit 2: {FORCED_FAIL_SAFE}",
+    ("Tick", "flags"): (
+        f"bit 0: late (a miss), bit 1: near a miss, bit 2: {FORCED_FAIL_SAFE}, bit 3: skipped, computed after a stall"
+    ),
     ("State", "flags"): ", ".join(f"bit {i}: {name}" for i, name in enumerate(status.FLAG_NAMES)),
     ("Check", "flags"): "bit 0: out of tolerance, bit 1: restarted behind a gap, no errors at this tick",
     ("CanFrame", "flags"): "bit 0: FD, bit 1: BRS, bit 7: sent by the bench",

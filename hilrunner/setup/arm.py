@@ -21,10 +21,11 @@ from hilrunner.setup import axes as axis_setup
 from hilrunner.setup.contract import dbc_path, sent_signal_names, signal_tables
 from hilrunner.setup.fault_values import fault_value_si, threshold_si
 from hilrunner.setup.load_faults import check_load_faults
-from hilrunner.setup.profile import DeadlineLimit, Fault, LoadedProfile
+from hilrunner.setup.profile import DeadlineLimit, Fault, LoadedProfile, StallLimit
 
 INBOX_FRAMES = 1024  # most frames one tick takes; the rest waits in the socket
 RING_SECONDS = 8  # how long the recorder may stand still before a tick is dropped
+RING_TICKS_MIN = 16_384  # the periods of a stall of the host come at once: at 1 kHz those of 16 s find room
 NEAR_MISS_TICKS = 10
 BURST_FRAMES = 64
 
@@ -39,10 +40,11 @@ class Armed:
     dbc_path: Path
 
 
-def ring_shape(loaded: LoadedProfile, seconds: float = RING_SECONDS) -> ring_layout.RingShape:
-    """Sizes of the ring between loop and recorder for this profile."""
+def ring_shape(loaded: LoadedProfile, seconds: float | None = None) -> ring_layout.RingShape:
+    """Sizes of the ring between loop and recorder for this profile; `seconds` in place of what a run takes."""
     ticks_per_s = 1_000_000 / loaded.profile.bench.period_us
-    ticks = _power_of_two(seconds * ticks_per_s)
+    wanted = max(RING_SECONDS * ticks_per_s, RING_TICKS_MIN) if seconds is None else seconds * ticks_per_s
+    ticks = _power_of_two(wanted)
     return ring_layout.RingShape(
         axis_count=len(loaded.profile.axis),
         tick_capacity=ticks,
@@ -108,6 +110,7 @@ def arm(
         outbox=make_mailbox(max(1, measurements.message_count)),
         frame_axis=np.zeros(INBOX_FRAMES, np.int64),
         frame_status=np.zeros(INBOX_FRAMES, np.int64),
+        frame_period=np.zeros(INBOX_FRAMES, np.int64),
         phase_ns=np.zeros(status.PHASE_COUNT, np.int64),
         rusage=rusage,
         schedstat_text=schedstat_text,
@@ -152,10 +155,14 @@ def _config(loaded: LoadedProfile, stimulus, overrun: str | None, schedstat_fd: 
         (profile.deadline.lateness_us, "lateness_ns_max", "lateness_action", NS_PER_US),
     ):
         _set_limit(config, limit, limit_field, action_field, factor)
+    stall = profile.deadline.stall_ms
+    _set_limit(config, stall, "stall_ns_max", "stall_action", NS_PER_MS)
     return config
 
 
-def _set_limit(config: np.ndarray, limit: DeadlineLimit | None, limit_field: str, action_field: str, factor: int):
+def _set_limit(
+    config: np.ndarray, limit: DeadlineLimit | StallLimit | None, limit_field: str, action_field: str, factor: int
+):
     config[limit_field] = -1 if limit is None else limit.max * factor
     config[action_field] = 0 if limit is None else ACTION_NAMES.index(limit.action)
 

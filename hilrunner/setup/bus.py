@@ -5,10 +5,12 @@ AF_UNIX datagram socketpair whose other end goes into the loop. The loop has no 
 """
 
 import collections
+import contextlib
 import os
 import socket
 import threading
 import time
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,9 @@ from hilrunner.setup.can_frame import pack_frame, unpack_frame
 _SO_RCVBUFFORCE = 33
 _SO_RXQ_OVFL = 40
 _SO_TIMESTAMPNS = 35
-_RECEIVE_BUFFER_BYTES = 4 << 20
+_RECEIVE_BUFFER_BYTES = 16 << 20  # the kernel takes twice that: 10 s of stall at 4,000 frames a second
+DRAIN_LIMIT_S = 0.25
+_PACKET_SIZE_MAX = 128
 _IFF_UP = 1
 _RECEIVE_WAIT_S, _PAUSE_S = 0.1, 0.001
 _ECHOING = ("udp_multicast",)  # python-can knows no way to keep its own datagrams out
@@ -64,7 +68,8 @@ def open_bus(
         UsageError: no such python-can backend, or options it does not take.
     """
     if interface == "socketcan":
-        _check_interface(str(channel), fd)
+        with _lost_on_the_way(str(channel)):
+            _check_interface(str(channel), fd)
     arguments: dict[str, Any] = {"fd": fd} if fd else {}
     if bitrate and interface not in ("socketcan", "virtual", "udp_multicast"):
         arguments["bitrate"] = bitrate
@@ -74,13 +79,52 @@ def open_bus(
     bus = open_backend(interface, channel, arguments)
     if interface == "socketcan":
         try:
-            _prepare_socket(bus.socket, str(channel), fd)
+            with _lost_on_the_way(str(channel)):
+                _prepare_socket(bus.socket, str(channel), fd)
         except BaseException:
             close_bus(bus)
             raise
         return OpenBus(bus, bus.fileno(), f"socketcan:{channel}")
     pump = Pump(bus, echoes=interface in _ECHOING or bool(arguments["receive_own_messages"]))
     return OpenBus(bus, pump.loop_end.fileno(), f"{interface}:{channel}", pump)
+
+
+@contextlib.contextmanager
+def _lost_on_the_way(channel: str) -> Iterator[None]:
+    """An interface may be taken away at any moment: whatever call notices it first, the bus is lost."""
+    try:
+        yield
+    except OSError as error:
+        raise lost_before_start(channel, error) from None
+
+
+def lost_before_start(channel: str, error: OSError) -> CanError:
+    """The bus went between its opening and tick 0."""
+    what = errno_text(error.errno) if error.errno else str(error)
+    return CanError(
+        str(channel), f"lost before the first tick: {what}", remedy="bring the interface up and start again"
+    )
+
+
+def drain_stale_frames(descriptor: int, own_ids: Collection[int], limit_s: float = DRAIN_LIMIT_S) -> int:
+    """Take away what arrived before tick 0 and belongs to no tick; an identifier of `own_ids` found there, or -1.
+
+    Ends when nothing waits, and after `limit_s` in any case: a bus that is flooded faster than this reads shall not keep tick 0
+    away. What is left then is taken by tick 0. Raises OSError when the bus is gone.
+    """
+    found = -1
+    end_s = time.monotonic() + limit_s
+    while time.monotonic() < end_s:
+        try:
+            frame = os.read(descriptor, _PACKET_SIZE_MAX)
+        except (BlockingIOError, InterruptedError):
+            break
+        if not frame:  # the other end of a socketpair is closed: the loop notices it in its first tick
+            break
+        can_id = int.from_bytes(frame[:4], "little")
+        if can_id in own_ids:
+            found = can_id
+    return found
 
 
 def _check_interface(channel: str, fd: bool) -> None:
@@ -118,7 +162,7 @@ def _prepare_socket(sock: socket.socket, channel: str, fd: bool) -> None:
     sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
     sock.setsockopt(socket.SOL_SOCKET, _SO_RXQ_OVFL, 1)
     sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_RECV_OWN_MSGS, 0)  # the loop has no use for what it has sent
-    try:
+    try:  # a queued frame counts some 800 bytes: room for 40,000, or for about 500 where the limits of an ordinary user hold
         sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
     except PermissionError:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)

@@ -179,12 +179,23 @@ class DeadlineLimit(Struct, forbid_unknown_fields=True, frozen=True):
     action: Annotated[Literal["warn", "fail-safe", "stop"], Meta(description="what happens beyond it")] = "stop"
 
 
+class StallLimit(Struct, forbid_unknown_fields=True, frozen=True):
+    """How long the bench may serve no period; a longer silence is a fault of the bench, not of the firmware."""
+
+    max: Annotated[int, Meta(ge=0, le=3_600_000, description="longest time without a served period, ms")] = 100
+    action: Annotated[
+        Literal["warn", "fail", "stop"],
+        Meta(description="fail: the run goes on, its verdict names the bench; stop: it ends at once; warn: told only"),
+    ] = "fail"
+
+
 class Deadline(Struct, forbid_unknown_fields=True, frozen=True):
-    """Limits on late ticks; an absent one is not watched."""
+    """Limits on late ticks; an absent one is not watched, but for stalls."""
 
     consecutive_misses: Annotated[DeadlineLimit | None, Meta(description="late ticks one behind the other")] = None
     total_misses: Annotated[DeadlineLimit | None, Meta(description="late ticks of the whole run")] = None
     lateness_us: Annotated[DeadlineLimit | None, Meta(description="how long after its period a tick may end")] = None
+    stall_ms: Annotated[StallLimit, Meta(description="how long the bench may serve no period")] = StallLimit()
 
 
 Tolerance = Annotated[float, Meta(gt=0, le=1000)]

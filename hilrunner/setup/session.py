@@ -4,7 +4,6 @@ The loop runs on a thread of its own that never needs the interpreter; this thre
 recorder. Order matters: rights asked for while the plants are built, recorder and arming side by side, clock last.
 """
 
-import contextlib
 import os
 import signal
 import threading
@@ -17,16 +16,21 @@ import numpy as np
 
 from hilrunner.base import ring as ring_layout
 from hilrunner.base import status
+from hilrunner.base.errors import UsageError
 from hilrunner.base.plain_text import plain_line
 from hilrunner.base.units import M_PER_MM, NS_PER_S, PA_PER_MPA
+from hilrunner.realtime.clock import CALL_NAMES, CALL_SHIFT, WORD_FAILURE
 from hilrunner.realtime.loop import NO_BUS, run_loop
 from hilrunner.realtime.miss import open_schedstat
 from hilrunner.record import launch
 from hilrunner.record.config import Attachment, CheckConfig, RecorderConfig
+from hilrunner.record.drain import Drain
+from hilrunner.record.file_lock import is_locked
+from hilrunner.record.run_watch import RunWatch
 from hilrunner.setup import host
 from hilrunner.setup.arm import Armed, arm, local_ring, ring_shape
 from hilrunner.setup.axes import AxisSet, build_axes, period_ns, reference_plants
-from hilrunner.setup.bus import OpenBus, errno_text, open_bus
+from hilrunner.setup.bus import OpenBus, drain_stale_frames, errno_text, lost_before_start, open_bus
 from hilrunner.setup.contract import sent_signal_names
 from hilrunner.setup.parcel import Parcel, pack
 from hilrunner.setup.profile import LoadedProfile
@@ -35,7 +39,7 @@ from hilrunner.setup.stimulus_facts import StimulusFacts
 
 _START_DELAY_NS = 20_000_000  # from "everything is ready" to the deadline of tick 0
 _FOREVER = 1 << 62
-_RECORDER_WAIT_S = 60.0
+_RECORDER_WAIT_S = 50.0  # longer than the recorder waits for its cross-check, and short of what a hang is
 _TALLY_MODULE = (
     "hilrunner.evidence.tally_process"  # takes the records of a run that keeps no log, and judges its limits
 )
@@ -104,6 +108,8 @@ class Session:
         self._cancelled = False
         self._log_is_ours = options.log_is_new  # nobody's file before: made for this run, or emptied by its recorder
         self.schedstat_fd = -1
+        self._run_watch: RunWatch | None = None
+        self._lacks_told: list[str] = []
 
     def start(self) -> None:
         """Everything before tick 0, then let the clock run; raises HilrunnerError with nothing left behind."""
@@ -155,6 +161,7 @@ class Session:
             self.recorder.wait_ready(_RECORDER_WAIT_S)
             self._log_is_ours = options.log_path is not None
         self._drain_stale_frames()
+        self._run_watch = RunWatch(Drain(self.ring, shape), period_ns(self.loaded))
         self.start_mono_ns = time.monotonic_ns() + _START_DELAY_NS
         self._store(ring_layout.WORD_PERIOD_NS, period_ns(self.loaded))
         self._store(ring_layout.WORD_START_MONO_NS, self.start_mono_ns)
@@ -165,11 +172,20 @@ class Session:
         return self.options.log_path is not None or bool(self.loaded.profile.limits)
 
     def _drain_stale_frames(self) -> None:
-        """What arrived before tick 0 belongs to no tick (python-can binds before it filters)."""
-        if self.bus is not None:
-            with contextlib.suppress(BlockingIOError):
-                while os.read(self.bus.descriptor, 128):
-                    pass
+        """What arrived while all of this was made ready belongs to no tick; it tells whether another bench is there already."""
+        if self.bus is None:
+            return
+        own_ids = {int(can_id) for can_id in self.armed.bench.measurement_table.can_id}
+        try:
+            found = drain_stale_frames(self.bus.descriptor, own_ids)
+        except OSError as error:
+            raise lost_before_start(self.bus.name, error) from None
+        if found >= 0:
+            raise UsageError(
+                self.bus.name,
+                f"another bench is on this bus: it sends frames of identifier {found & 0x1FFFFFFF:#x}, as this one would",
+                remedy="end the other bench, or give this one another bus or other identifiers (can.mapping)",
+            )
 
     def _run(self) -> None:
         """The loop's thread: ask for rights, wait for the word, run."""
@@ -241,7 +257,22 @@ class Session:
             stimulus_facts=self.options.stimulus_facts,
         )
 
+    def news(self) -> list[str]:
+        """What has befallen run, log and recorder since the last call, in sentences."""
+        told = []
+        if self._run_watch is not None:
+            told += [text for _, text in self._run_watch.news(int(self.armed.bench.progress[0]["tick"]))]
+        lacks = ring_layout.log_lacks(self.ring)
+        if self.recorder is not None and self.recorder.poll() is not None and self.exit_reason == status.EXIT_RUNNING:
+            lacks.append("the recorder has ended: nothing that happens from now on is in the log")
+        told += [text for text in lacks if text not in self._lacks_told]
+        self._lacks_told += [text for text in lacks if text not in self._lacks_told]
+        return told
+
     def _bus_error(self) -> str:
+        failure = int(self.armed.bench.clock[WORD_FAILURE])
+        if failure:
+            return f"{CALL_NAMES[failure >> CALL_SHIFT]}: {errno_text(failure & ((1 << CALL_SHIFT) - 1))}"
         number = int(self.armed.bench.progress[0]["bus_errno"])
         if number == 0:
             return ""
@@ -256,8 +287,8 @@ class Session:
         if self.recorder is not None:
             self.recorder.process.kill()
             self.recorder.process.wait()
-        if self._log_is_ours and self.options.log_path.is_file():
-            self.options.log_path.unlink()
+        if self._log_is_ours and not is_locked(self.options.log_path):  # else another run has taken the name meanwhile
+            self.options.log_path.unlink(missing_ok=True)
         if self._thread is not None:
             self._thread.join(timeout=5.0)
         if self.bus is not None:

@@ -199,8 +199,31 @@ def in_time(loaded, axes, out):
     bench_end.close()
 
 
+def late(loaded, axes, out):
+    """run_loop that begins after its own end: all periods but the last are skipped ones, and more frames wait than the inbox takes."""
+    ring = arming.local_ring(arming.ring_shape(loaded, seconds=0.01))
+    bench_end, peer = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    bench_end.setsockopt(socket.SOL_SOCKET, 35, 1)  # SO_TIMESTAMPNS
+    for frame in [frame for batch in traffic() for frame in batch]:
+        peer.send(frame.tobytes())
+    armed = arming.arm(loaded, axes, ring, record=True, overrun="skip")
+    bench = armed.bench._replace(inbox=socketcan.make_mailbox(4))
+    start_mono_ns = time.monotonic_ns() + 1_000_000
+    time.sleep(0.02)
+    out["late reason"] = np.array([loop.run_loop(bench, bench_end.fileno(), start_mono_ns, 4)])
+    out["late state"] = bench.state.copy()
+    out["late frames"] = ring.frame_count.copy()
+    out["late rows"] = ring.tick["tick"][:4].copy()
+    out["late frames of rows"] = ring.tick["frames_received"][:4].copy()
+    peer.close()
+    bench_end.close()
+
+
 def single_functions(out):
     """What the runs above do not reach: series, searches, rates."""
+    failing = clock.make_clock(0)
+    clock.sleep_until(failing, -3_000_000_000)  # before all time: the kernel refuses
+    out["failed sleep"] = failing[clock.WORD_FAILURE :].copy()
     clock.wait_until(clock.make_clock(20_000), time.monotonic_ns() + 100_000)
     components = wave.heave_components(1.0, 7.0, 1)
     out["heave"] = np.array(wave.heave_series(components, np.linspace(0.0, 5.0, 7)))
@@ -334,6 +357,7 @@ def main():
         offline(arm_offline(loaded, axes), out, name)
     loaded, axes = runs["reference"]
     in_time(loaded, axes, out)
+    late(loaded, axes, out)
     starts_and_rates(axes.plants, out)
     checked(axes.plants, axes.initial_states, out)
     if INTERPRETED:

@@ -17,11 +17,12 @@ import numpy as np  # noqa: E402
 
 from hilrunner.base import records, status  # noqa: E402
 from hilrunner.base import ring as ring_layout  # noqa: E402
-from hilrunner.realtime import loop, waiting  # noqa: E402
+from hilrunner.realtime import late, loop, recording, waiting  # noqa: E402
 from hilrunner.realtime.clock import WORD_FAKE  # noqa: E402
 from hilrunner.setup import axes  # noqa: E402
 from hilrunner.setup.arm import arm, local_ring, ring_shape  # noqa: E402
 from hilrunner.setup.profile import load_profile  # noqa: E402
+from tests.tools.contract import command_frame  # noqa: E402
 
 START_NS = 1_000_000_000
 PERIOD_NS = 1_000_000
@@ -65,7 +66,10 @@ def axes_of(loaded):
 class World:
     """What the scenario plans: durations of steps, lateness of wake-ups, errors of the bus, all by tick."""
 
-    def __init__(self, steps=None, wakes=None, receive=None, send=None, flags=None, stop_at=None, rehearsals=None):
+    def __init__(
+        self, steps=None, wakes=None, receive=None, send=None, flags=None, stop_at=None, rehearsals=None, traffic=None,
+        receives=None,
+    ):  # fmt: skip
         self.steps = steps or {}
         self.wakes = wakes or {}
         self.receive = receive or {}
@@ -73,6 +77,8 @@ class World:
         self.flags = flags or {}
         self.stop_at = stop_at
         self.rehearsals = rehearsals or {}  # tick -> how long its rehearsal takes, ns
+        self.traffic = traffic
+        self.receives = receives or {}  # ticks that ran before -> how long the call for frames takes, ns
         self.rehearsed = []  # (tick, ns before its deadline at the start, at the end)
         self.ran = []  # (tick, periods advanced, start of the step on the simulated clock)
 
@@ -104,34 +110,43 @@ def bind(world: World) -> None:
             bench.ring.header[ring_layout.WORD_STOP_REQUEST * ring_layout.HEADER_STRIDE] = 1
         return np.int64(world.flags.get(int(tick), 0))
 
-    def current(bench_tick_table):
-        return lambda descriptor, box, *rest: bench_tick_table.get(len(world.ran), 0)
+    def receive(descriptor, box, first):
+        world.clock[WORD_NOW] += world.receives.pop(len(world.ran), 0)
+        if world.traffic is not None:
+            return world.traffic.receive(box, first, int(world.clock[WORD_NOW]))
+        return world.receive.get(len(world.ran), 0)
 
-    loop.now_mono_ns = loop.now_real_ns = loop.anchor = now
-    waiting.now_mono_ns = now
+    def real(clock):
+        return now(clock) + (world.traffic.offset_ns(int(clock[WORD_NOW])) if world.traffic else 0)
+
+    loop.now_mono_ns = loop.anchor = late.now_mono_ns = recording.now_mono_ns = waiting.now_mono_ns = now
+    loop.now_real_ns = real
+    loop.clock_offset_ns = late.clock_offset_ns = lambda clock: real(clock) - int(clock[WORD_NOW])
     waiting.wait_until = waiting.sleep_until = wait
     waiting.spin_until = spin
     waiting.rehearse = rehearse
-    loop.step_stage = step
+    loop.step_stage = late.step_stage = step
     loop.encode_stage = lambda bench, tick: 0 if not world.send else 1
-    loop.receive_frames = current(world.receive)
+    loop.receive_frames = late.receive_frames = receive
     loop.send_frames = lambda descriptor, box, count: world.send.get(len(world.ran) - 1, count)
     loop.read_usage = lambda *arguments: None
 
 
 def run(
-    world: World, ticks: int, overrun="skip", warm_up=0, more="", descriptor=-1, stimulus=None, spin_ns=0, rehearse=True
-) -> dict:
+    world: World, ticks: int, overrun="skip", warm_up=0, more="", descriptor=-1, stimulus=None, spin_ns=0, rehearse=True,
+    ring_s=0.1,
+) -> dict:  # fmt: skip
     """One scenario; what happened, as plain numbers."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "scenario.toml"
         path.write_text(PROFILE.format(overrun=overrun, warm_up=warm_up, more=more, rehearse=str(rehearse).lower()))
         loaded = load_profile(str(path))
-        shape = ring_shape(loaded, 0.1)
+        shape = ring_shape(loaded, ring_s)
         ring = local_ring(shape)
         armed = arm(loaded, axes_of(loaded), ring, record=True, stimulus=stimulus, spin_ns=spin_ns)
     bench = armed.bench
     bench.clock[WORD_NOW] = START_NS - 500_000
+    world.clock = bench.clock
     bind(world)
     reason = loop.run_loop(bench, descriptor, START_NS, ticks)
     progress = bench.progress[0]
@@ -151,6 +166,16 @@ def run(
         "deadlines": ring.tick["deadline_mono_ns"][:written].tolist(),
         "wakes": ring.tick["wake_mono_ns"][:written].tolist(),
         "tick_flags": ring.tick["flags"][:written].tolist(),
+        "rows": ring.tick["tick"][:written].tolist(),
+        "frames_of_rows": ring.tick["frames_received"][:written].tolist(),
+        "skipped_of_rows": ring.tick["skipped_count"][:written].tolist(),
+        "ages": ring.command["age_ns"][:written].tolist(),
+        "frame_ticks": _received(ring)["tick"].tolist(),
+        "frame_stamps": _received(ring)["kernel_real_ns"].tolist(),
+        "frame_statuses": _received(ring)["status"].tolist(),
+        "response_max": int(ring.extreme[records.HISTOGRAM_NAMES.index("response"), 1]),
+        "responses": int(ring.extreme[records.HISTOGRAM_NAMES.index("response"), 3]),
+        "stalls": [ring_layout.word(ring, word) for word in STALL_WORDS],
         "miss_ticks": ring.miss["tick"][:missed].tolist(),
         "miss_lateness": ring.miss["lateness_ns"][:missed].tolist(),
         "late_samples": int(ring.extreme[wake, 3]),
@@ -159,12 +184,74 @@ def run(
     }
 
 
+STALL_WORDS = (
+    ring_layout.WORD_STALL_COUNT, ring_layout.WORD_STALL_NS_MAX, ring_layout.WORD_STALL_TICK_FIRST, ring_layout.WORD_STALL_NS_LAST,
+)  # fmt: skip
+
+
+def _received(ring) -> np.ndarray:
+    written = ring_layout.word(ring, ring_layout.WORD_CAN_WRITTEN)
+    rows = ring.can[:written]
+    return rows[(rows["flags"] & records.CAN_FRAME_SENT) == 0]
+
+
+class Traffic:
+    """Commands of a firmware that never stops, one every `every_ns` from before tick 0 on, in a socket whose kernel stamps them.
+
+    Args:
+        sets: (time, ns, by which the wall clock is set then) pairs. stamped: the socket gives stamps.
+    """
+
+    def __init__(self, every_ns=5_000_000, sets=(), stamped=True, until_ns=START_NS + 1_000_000_000, phase_ns=-300_000):
+        self.sets, self.stamped = sets, stamped
+        times = range(START_NS + phase_ns, until_ns, every_ns)
+        self.waiting = [(time_ns, self._frame(k)) for k, time_ns in enumerate(times)]
+        self.sent = [time_ns for time_ns, _ in self.waiting]
+
+    def _frame(self, k):
+        data = bytes(command_frame(1, control=status.CONTROL_ACTIVE, setpoint_percent=30.0, counter=k % 16))
+        return np.frombuffer((0x201).to_bytes(4, "little") + bytes([8, 0, 0, 0]) + data, np.uint8)
+
+    def offset_ns(self, now_ns):
+        return WALL_NS + sum(by_ns for at_ns, by_ns in self.sets if now_ns >= at_ns)
+
+    def receive(self, box, first, now_ns):
+        """As receive_frames: what has come by now, as much as finds room."""
+        count = first
+        while count < box.frame.shape[0] and self.waiting and self.waiting[0][0] <= now_ns:
+            time_ns, frame = self.waiting.pop(0)
+            box.frame[count, :16] = frame
+            box.size_bytes[count] = 16
+            box.kernel_real_ns[count] = time_ns + self.offset_ns(time_ns) if self.stamped else 0
+            count += 1
+        return count
+
+
 def limit(name: str, most: int, action: str) -> str:
     return f'[deadline.{name}]\nmax = {most}\naction = "{action}"\n'
 
 
 LATE = {3: 1_100_000}  # tick 3 takes 0.1 ms more than its period
 STALL = {3: 3_400_000}  # tick 3 takes 3.4 periods
+WALL_NS = 1_700_000_000_000_000_000  # CLOCK_REALTIME - CLOCK_MONOTONIC
+ASLEEP = {20: 150_000_000}  # the host stands still while the loop waits for tick 20
+AT_WORK = {20: 150_000_000}  # the same in the middle of tick 20
+HOUR_NS = 3_600_000_000_000
+
+
+def stalled(overrun="skip", ticks=300, more="", stimulus=None, period_of_firmware_ns=5_000_000, **world) -> dict:
+    """A run with a firmware that never stops sending."""
+    traffic = Traffic(period_of_firmware_ns, **world.pop("traffic", {}))
+    return run(
+        World(traffic=traffic, send={-1: 0}, **world),
+        ticks,
+        overrun=overrun,
+        more=more,
+        descriptor=9,
+        stimulus=stimulus,
+        ring_s=0.5,
+    )
+
 
 SCENARIOS = {
     "on_time": lambda: run(World(), 8),
@@ -203,6 +290,28 @@ SCENARIOS = {
     "rehearsal_not_worth_it": lambda: run(World(steps=dict.fromkeys(range(6), 110_000)), 6),
     "rehearsal_off": lambda: run(World(steps=EVEN), 6, rehearse=False, spin_ns=200_000),
     "rehearsal_woken_late": lambda: run(World(steps=EVEN, wakes={6: 170_000}), 12, spin_ns=200_000),
+    "asleep": lambda: stalled(wakes=ASLEEP),
+    "asleep_unstamped": lambda: stalled(wakes=ASLEEP, traffic={"stamped": False}),
+    "asleep_catch_up": lambda: stalled(wakes=ASLEEP, overrun="catch-up"),
+    "at_work": lambda: stalled(steps=AT_WORK),
+    "at_work_catch_up": lambda: stalled(steps=AT_WORK, overrun="catch-up"),
+    "on_the_way_to_its_frames": lambda: stalled(receives={20: 150_000_000}),
+    "at_the_start": lambda: stalled(wakes={0: 150_000_000}),
+    "over_the_end": lambda: stalled(wakes={100: 150_000_000}, ticks=120),
+    "over_the_end_at_work": lambda: stalled(steps={100: 150_000_000}, ticks=120),
+    "in_the_last_tick": lambda: stalled(wakes={119: 150_000_000}, ticks=120),
+    "over_the_end_of_a_stimulus": lambda: stalled(wakes={20: 150_000_000}, stimulus=np.zeros((60, 1))),
+    "over_the_end_catch_up": lambda: stalled(wakes={100: 150_000_000}, ticks=120, overrun="catch-up"),
+    "asleep_and_set_forward": lambda: stalled(wakes=ASLEEP, traffic={"sets": ((START_NS + 100_000_000, HOUR_NS),)}),
+    "asleep_and_set_back": lambda: stalled(wakes=ASLEEP, traffic={"sets": ((START_NS + 100_000_000, -HOUR_NS),)}),
+    "set_forward": lambda: stalled(traffic={"sets": ((START_NS + 102_000_000, HOUR_NS),)}),
+    "set_back": lambda: stalled(traffic={"sets": ((START_NS + 102_000_000, -HOUR_NS),)}),
+    "stop_in_a_stall": lambda: stalled(steps=AT_WORK, stop_at=20),
+    "more_frames_than_the_inbox": lambda: stalled(wakes=ASLEEP, period_of_firmware_ns=100_000),
+    "stall_warn": lambda: stalled(wakes=ASLEEP, more=limit("stall_ms", 100, "warn")),
+    "stall_ends_the_run": lambda: stalled(wakes=ASLEEP, more=limit("stall_ms", 100, "stop")),
+    "stall_allowed": lambda: stalled(wakes=ASLEEP, more=limit("stall_ms", 200, "stop")),
+    "lateness_of_a_stall": lambda: stalled(wakes=ASLEEP, more=limit("lateness_us", 100_000, "stop")),
     "ring_full": lambda: run(World(), 300),
 }
 

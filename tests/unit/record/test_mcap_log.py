@@ -10,7 +10,8 @@ from recorder_producer import START_MONO_NS, START_REAL_NS, periods
 from hilrunner.base import records
 from hilrunner.base.errors import LogError
 from hilrunner.record import schemas
-from hilrunner.record.mcap_log import LOG_LEVEL_ERROR, LogWriter
+from hilrunner.record.levels import LOG_LEVEL_ERROR
+from hilrunner.record.mcap_log import LogWriter
 
 PERIOD_NS = 1_000_000
 OFFSET_NS = START_REAL_NS - START_MONO_NS

@@ -1,6 +1,9 @@
 """The pump between any python-can backend and the loop's descriptor, and what a missing interface says."""
 
+import contextlib
 import os
+import socket
+import struct
 import threading
 import time
 
@@ -9,7 +12,7 @@ import pytest
 
 from hilrunner.base.errors import CanError, UsageError
 from hilrunner.setup import bus_open
-from hilrunner.setup.bus import OwnFrames, Pump, open_bus
+from hilrunner.setup.bus import OwnFrames, Pump, drain_stale_frames, open_bus
 from hilrunner.setup.bus_open import close_bus, open_backend
 from hilrunner.setup.can_frame import pack_frame, unpack_frame
 
@@ -207,3 +210,48 @@ def test_options_reach_the_backend():
         assert bus.bus.queue.maxsize == 7
     finally:
         bus.close()
+
+
+def pair():
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    ours.setblocking(False)
+    return ours, theirs
+
+
+def test_stale_frames_are_taken_away_and_another_bench_is_noticed():
+    ours, theirs = pair()
+    with ours, theirs:
+        for can_id in (0x201, 0x281, 0x7FF):
+            theirs.send(struct.pack("<IB3x8s", can_id, 8, b""))
+        assert drain_stale_frames(ours.fileno(), {0x181, 0x281}) == 0x281
+        assert drain_stale_frames(ours.fileno(), {0x181, 0x281}) == -1
+
+
+def test_a_flooded_bus_does_not_keep_tick_0_away():
+    ours, theirs = pair()
+    with ours, theirs:
+        stopping = threading.Event()
+
+        def flood():
+            with contextlib.suppress(OSError):
+                while not stopping.is_set():
+                    theirs.send(bytes(16))
+
+        flooder = threading.Thread(target=flood, daemon=True)
+        flooder.start()
+        try:
+            began_s = time.thread_time(), time.monotonic()
+            drain_stale_frames(ours.fileno(), set(), limit_s=0.1)
+            assert time.thread_time() - began_s[0] < 5.0, "bounded by its limit, whatever comes"
+        finally:
+            stopping.set()
+            ours.close()
+            flooder.join(timeout=5.0)
+
+
+def test_a_bus_that_went_before_tick_0_is_an_error_of_the_bus():
+    ours, theirs = pair()
+    ours.send(b"unread")
+    theirs.close()
+    with ours, pytest.raises(OSError, match="reset"):
+        drain_stale_frames(ours.fileno(), set())
