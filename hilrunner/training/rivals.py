@@ -49,7 +49,7 @@ def _adam(shape: Shape, data: Data, seed: int, seconds: float) -> torch.Tensor:
 
 
 def _lbfgs(shape: Shape, data: Data, seed: int, seconds: float) -> torch.Tensor:
-    """L-BFGS with strong Wolfe line search on all points."""
+    """L-BFGS with strong Wolfe line search on all points; of its steps the best, where one diverges."""
     parameters = shape.start(seed).requires_grad_(True)
     optimiser = torch.optim.LBFGS([parameters], max_iter=20, history_size=50, line_search_fn="strong_wolfe")
     inputs, targets = next(iter(data.batches(data.rows, torch.device("cpu"))))
@@ -60,11 +60,15 @@ def _lbfgs(shape: Shape, data: Data, seed: int, seconds: float) -> torch.Tensor:
         loss.backward()
         return loss
 
-    started = time.monotonic()
-    before = float("inf")
+    started, best, kept = time.monotonic(), float("inf"), parameters.detach().clone()
     while time.monotonic() - started < seconds:
-        loss = float(optimiser.step(closure).detach())
-        if not loss < before:
+        try:
+            optimiser.step(closure)
+        except OverflowError:  # a step that left the numbers: torch's line search squares them as Python's
             break
-        before = loss
-    return parameters.detach()
+        with torch.no_grad():  # the step tells the loss before it, and its last trial may be worse
+            loss = float(((shape.values(parameters, inputs) - targets) ** 2).mean())
+        if not loss < best:  # nor is one that is no number
+            break
+        best, kept = loss, parameters.detach().clone()
+    return kept
