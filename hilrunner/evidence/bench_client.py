@@ -14,6 +14,7 @@ from typing import Any
 from hilrunner.base.errors import CanError
 from hilrunner.evidence.signals import Messages
 from hilrunner.record.child import module_command
+from hilrunner.setup.bus_open import open_backend
 
 START_LIMIT_S = 300.0  # the first start on a machine compiles
 STOP_LIMIT_S = 60.0
@@ -91,8 +92,6 @@ class Bench:
     def __init__(
         self, command: list[str], log_path: Path, interface: str, channel: str, messages: Messages, **bus
     ) -> None:
-        import can
-
         self._messages = messages
         self.log_path = log_path
         self._signals: dict[str, dict] = {}
@@ -103,7 +102,7 @@ class Bench:
         self._output = log_path.with_suffix(".stdout").open("w+")
         self._errors = log_path.with_suffix(".stderr").open("w+")
         self.outcome: Outcome | None = None
-        self._bus = can.Bus(interface=interface, channel=channel, **bus)
+        self._bus = open_backend(interface, channel, bus)
         try:
             self._process = subprocess.Popen(
                 [*command, "--log", str(log_path), "--json"],

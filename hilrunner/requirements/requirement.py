@@ -66,6 +66,14 @@ def understand(written: tuple[Written, ...], signals: Mapping[str, SignalKind], 
     return found
 
 
+def _text(data: bytes) -> str:
+    """UTF-8 with or without a mark, else cp1252 as editors on Windows write it."""
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("cp1252")
+
+
 def read_requirements(path: Path) -> tuple[Written, ...]:
     """The requirements of a TOML file: a list of `[[requirement]]`.
 
@@ -75,7 +83,7 @@ def read_requirements(path: Path) -> tuple[Written, ...]:
     try:
         if path.stat().st_size > _SIZE_MAX_BYTES:
             raise UsageError(str(path), f"{path.stat().st_size} bytes", f"at most {_SIZE_MAX_BYTES}", "split the file")
-        raw = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+        raw = tomllib.loads(_text(path.read_bytes()))
         return msgspec.convert(raw, _File).requirement
     except OSError as error:
         raise UsageError(str(path), f"cannot be read: {error.strerror}", remedy="name a TOML file") from None

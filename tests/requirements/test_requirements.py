@@ -103,6 +103,8 @@ def test_a_file_is_read_and_its_errors_name_the_key(tmp_path):
     path = tmp_path / "requirements.toml"
     path.write_text('\ufeff[[requirement]]\nid = "R1"\nformula = "always end_stop"\nsource = "EN 12999, 5.6.3"\n')
     assert read_requirements(path)[0].source == "EN 12999, 5.6.3"
+    path.write_bytes('[[requirement]]\nid = "R1"\nformula = "true"\ntext = "fährt"\n'.encode("cp1252"))
+    assert read_requirements(path)[0].text == "fährt"
     path.write_text('[[requirement]]\nid = "R1"\nformla = "always end_stop"\n')
     with pytest.raises(UsageError, match="formula"):
         read_requirements(path)
