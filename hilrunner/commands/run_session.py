@@ -111,7 +111,9 @@ def _with_options(loaded: LoadedProfile, args: argparse.Namespace) -> LoadedProf
 
 def _options(args: argparse.Namespace, loaded: LoadedProfile) -> RunOptions:
     interface, channel = _bus_names(args)
-    stimulus = stimulus_named(args.stimulus, loaded, channel=args.stimulus_channel) if args.stimulus else None
+    stimulus = (
+        stimulus_named(args.stimulus, loaded, channel=args.stimulus_channel) if args.stimulus is not None else None
+    )
     if channel is None and stimulus is None:
         raise UsageError(
             "hilrunner run", "no bus and no stimulus", remedy="name a bus (--can vcan0) or a schedule (--stimulus FILE)"

@@ -46,7 +46,7 @@ def main(args: argparse.Namespace) -> int:
     check_targets([args.plot])
     engine = engine_named(loaded, args.engine)
     name = status.ENGINE_NAMES[engine]
-    if args.schedule:
+    if args.schedule is not None:
         stimulus = stimulus_named(args.schedule, loaded, args.duration, args.stimulus_channel)
     else:
         stimulus = profile_stimulus(loaded, args.duration, args.stimulus_channel)

@@ -7,6 +7,7 @@ value outside them is a slip of the pen. The sentence beside a key is what docs/
 """
 
 import difflib
+import os
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
@@ -406,7 +407,7 @@ def _find(name_or_path: str) -> Path:
     if name_or_path in available_profiles():  # whatever lies in the working folder under that name, a folder of results
         return resources.profiles_folder() / f"{name_or_path}.toml"
     direct = Path(name_or_path)
-    if direct.suffix == ".toml" or direct.exists():
+    if direct.suffix == ".toml" or os.path.exists(direct):  # false for a name no file can have
         return direct
     near = difflib.get_close_matches(name_or_path, available_profiles(), n=1)
     hint = f"did you mean '{near[0]}'? " if near else ""

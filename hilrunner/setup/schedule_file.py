@@ -1,6 +1,7 @@
 """Valve schedules from files: a table as CSV, or a kind of `plant.schedule` with its fields as TOML; every row is checked."""
 
 import math
+import os
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +30,7 @@ def load_schedule(name_or_path: str) -> Schedule:
     if name_or_path in SCHEDULES:
         return SCHEDULES[name_or_path]
     path = Path(name_or_path)
-    if not path.exists():
+    if not os.path.exists(path):
         raise ProfileError(
             f"schedule '{name_or_path}'",
             "neither a known name nor a file",

@@ -5,6 +5,7 @@ recording leaves no valve open here either.
 """
 
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,7 +76,9 @@ def read_stimulus(
         ProfileError: a schedule that is none.
     """
     path = Path(name)
-    if name in SCHEDULES or not path.exists():
+    if not name.strip():
+        raise UsageError("stimulus", "its name is empty", ", ".join(SCHEDULES), "name a schedule, a CAN log, or none")
+    if name in SCHEDULES or not os.path.exists(path):  # false for a name no file can have, where Path.exists raises
         schedule = _named(name)
         return _from_schedule(name, "schedule", schedule, loaded, duration_s)
     contents = read_contents(path, UsageError, "name a schedule or a CAN log")

@@ -30,6 +30,11 @@ BAD = {
         exit_codes.BAD_INPUT,
         ["--duration", "at least 0.002 s"],
     ),
+    "a stimulus without a name": (
+        ["-i", "virtual", "-c", "x", "--stimulus", ""],
+        exit_codes.BAD_INPUT,
+        ["its name is empty"],
+    ),
     "no such schedule": (["--stimulus", "none.csv"], exit_codes.BAD_INPUT, ["none.csv", "lift-profile"]),
     "unwritable log": (
         [*SCHEDULE, "--log", "/proc/none/x.mcap"],

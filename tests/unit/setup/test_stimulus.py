@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hilrunner.base import status
-from hilrunner.base.errors import UsageError
+from hilrunner.base.errors import ProfileError, UsageError
 from hilrunner.realtime import command, decode
 from hilrunner.setup.profile import CommandRules, load_profile
 from hilrunner.setup.stimulus import aged_commands, load_stimulus, read_stimulus
@@ -196,3 +196,11 @@ def test_a_name_in_another_encoding_does_no_harm_to_a_log(tmp_path, loaded):
     facts = read_stimulus("steps", loaded, 1.0).facts
     named = dataclasses.replace(facts, name="\udcfcber\n.csv")
     assert len(named.text().encode("utf-8").splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["", " ", "a" * 5000, "a" * 5000 + ".csv", "nul\0.log"])
+def test_names_that_no_file_can_have(loaded, name):
+    with pytest.raises((UsageError, ProfileError)):
+        read_stimulus(name, loaded)
+    with pytest.raises(ProfileError):
+        load_profile(name)
