@@ -149,6 +149,9 @@ def write_log(path: Path, parcel: Parcel, run: Simulated, stimulus: StimulusFact
     for begin in range(0, len(run.tick), 4096):
         part = slice(begin, begin + 4096)
         log.write_ticks(run.tick[part], run.command[part].reshape(-1), run.state[part].reshape(-1), 0, 0)
+    counts = {"tick_count": len(run.tick), "last_tick": int(run.tick["tick"][-1]) if len(run.tick) else -1}
+    counts |= dict.fromkeys(("frame_records", "miss_records", "dropped_ticks", "dropped_frames", "dropped_misses"), 0)
+    metadata["run"] |= {key: str(value) for key, value in counts.items()}
     log.close(metadata)
 
 

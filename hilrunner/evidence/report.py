@@ -2,7 +2,6 @@
 
 import hashlib
 import math
-import resource
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from hilrunner.evidence.plant_use import AxisUse, measure_plant
 from hilrunner.evidence.reader import Columns, Event, Run, read_run
 from hilrunner.evidence.signature import signature_judgements
 from hilrunner.evidence.verdict import Verdict, judge
+from hilrunner.record.memory import memory_bytes_max
 from hilrunner.setup.csv_text import number, read_table, shown
 from hilrunner.setup.limits import SETTLING_SPEED_MMPS
 from hilrunner.setup.text import read_text
@@ -207,7 +207,7 @@ def as_dict(report: Report) -> dict:
             "duration_s": latency.duration_s,
             "miss_count": latency.miss_count,
             "skipped_count": latency.skipped_count,
-            "lost_count": latency.lost_count,
+            "lost_count": latency.lost_count if report.coverage.ticks.lost is None else report.coverage.ticks.lost,
             "causes": latency.causes,
             "worst_misses": [asdict(miss) for miss in latency.misses],
             "worst_wake": [{"tick": tick, "wake_lateness_ns": value} for tick, value in latency.worst_wake],
@@ -271,5 +271,4 @@ class Cost:
 
 def cost_since(begin_mono_ns: int) -> Cost:
     """Wall time since `begin_mono_ns` and the largest resident memory of this process."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return Cost((time.monotonic_ns() - begin_mono_ns) * 1e-9, peak)
+    return Cost((time.monotonic_ns() - begin_mono_ns) * 1e-9, memory_bytes_max())

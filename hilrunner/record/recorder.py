@@ -12,6 +12,7 @@ from hilrunner.record.config import RecorderConfig
 from hilrunner.record.drain import Drain
 from hilrunner.record.levels import LOG_LEVEL_ERROR, LOG_LEVEL_INFO, LOG_LEVEL_WARNING
 from hilrunner.record.mcap_log import LogWriter
+from hilrunner.record.memory import memory_bytes_max
 from hilrunner.record.run_watch import RunWatch
 from hilrunner.record.statistics import (
     HISTOGRAM_ATTACHMENT,
@@ -207,7 +208,7 @@ class Recorder:
             "write_stall_ns_max": log.write_stall_ns_max if log else 0,
             "cpu_s": round(cpu_s, 3),
             "cpu_ratio": round(cpu_s / max(wall_s, 1e-9), 4),
-            "memory_bytes_max": usage.ru_maxrss * 1024,
+            "memory_bytes_max": memory_bytes_max(),
             "frames": frame_counts(self.drain.ring, self.settings.axis_names),
             "check": self.check.summary() if self.check else None,
             "log_lacks": ring_layout.log_lacks(self.drain.ring),
