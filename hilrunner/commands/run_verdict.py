@@ -35,14 +35,15 @@ def exit_code_of(result: RunResult, verdict: dict) -> int:
 
 
 def _of_log(result: RunResult) -> dict:
-    from hilrunner.evidence.report import RunnerKnows, build_report
+    from hilrunner.evidence.judge_log import judge_log
+    from hilrunner.evidence.report import RunnerKnows
 
     ran = _rows(result)
     if ring_layout.word(result.ring, ring_layout.WORD_LOG_LACKS) & ring_layout.LOG_LACKS_NAME:
         return _of_counters(result, ring_layout.LOG_LACKS_TEXTS[0])  # what lies there now is not the log of this run
     knows = RunnerKnows(ran, status.EXIT_NAMES[result.exit_reason])
     try:
-        return build_report(result.log_path, knows=knows).verdict.as_dict()
+        return judge_log(result.log_path, knows).as_dict()
     except HilrunnerError as error:
         code = exit_codes.DAMAGED if error.exit_code == exit_codes.DAMAGED else exit_codes.VERDICT_FAILED
         return _of_counters(result, f"the log cannot be judged: {error}", code)

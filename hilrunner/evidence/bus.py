@@ -48,6 +48,7 @@ class BusTally:
         self._kinds: dict[int, np.ndarray] = {}  # kind of frame -> frames in each second
         self._others = {"received": 0, "sent": 0}
         self._stamps: dict[str, list[np.ndarray]] = {"received": [], "sent": []}  # int64[n, 2]: tick, stamp
+        self._answers = False  # frames that were sent carry stamps; those of SocketCAN do not
 
     def __call__(self, topic: str, rows: np.ndarray) -> None:
         """Count one batch."""
@@ -65,6 +66,7 @@ class BusTally:
         if direction == "received":
             self._outcomes += np.bincount(rows["status"], minlength=256)
             answered &= rows["status"] == status.FRAME_VALID
+        self._answers |= direction == "sent" and bool(answered.any())
         self._keep_stamps(direction, rows["tick"][answered], rows["kernel_real_ns"][answered])
 
     def result(self, bitrate: int) -> BusUse:
@@ -116,7 +118,9 @@ class BusTally:
             self._kinds[kind] = long
 
     def _keep_stamps(self, direction: str, tick: np.ndarray, stamp: np.ndarray) -> None:
-        if len(tick):
+        if self._counts["sent"] and not self._answers:
+            self._stamps["received"].clear()  # nothing will answer them: a run of days needs no room for them
+        elif len(tick):
             self._stamps[direction].append(_newest(np.column_stack((tick.astype(np.int64), stamp))))
 
     def _load(self, bitrate: int) -> np.ndarray:

@@ -31,6 +31,9 @@ TITLES = {
 }
 WORST_COUNT = 20
 TIMELINE_BINS = 600
+EXACT_SAMPLES_MAX = (
+    4_000_000  # of more, a percentile is judged by the loop's histogram: a run of days would need gigabytes
+)
 _LOOP = "the loop's histogram"
 
 
@@ -117,7 +120,7 @@ def measure_latency(run: Run, facts: RunFacts, responses_ns: np.ndarray) -> Late
             distributions[name] = distribution(name, values_ns, "ticks")
 
     _check_skipped(run, int(kept["skipped_count"].sum(dtype=np.int64)))
-    add("wake_lateness", _with_skipped(wake_lateness, kept["skipped_count"], facts.period_ns))
+    add("wake_lateness", with_skipped(wake_lateness, kept["skipped_count"], facts.period_ns))
     for name in ("receive", "decode", "step", "encode", "record"):
         add(name, ran[f"{name}_ns"])
     add("execution", execution)
@@ -152,6 +155,31 @@ def measure_latency(run: Run, facts: RunFacts, responses_ns: np.ndarray) -> Late
     )
 
 
+class Samples:
+    """Samples of one quantity taken batch by batch, ns; a run too long for them keeps none (its loop has counted them)."""
+
+    def __init__(self) -> None:
+        self._parts: list[np.ndarray] = []
+        self._count = 0
+
+    def take(self, values_ns: np.ndarray) -> None:
+        """One batch, int64."""
+        self._count += len(values_ns)
+        if self._count <= EXACT_SAMPLES_MAX:
+            self._parts.append(values_ns)
+        else:
+            self._parts.clear()
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether there are samples, and all of them were kept."""
+        return 0 < self._count <= EXACT_SAMPLES_MAX
+
+    def distribution(self, name: str) -> Distribution:
+        """Exact statistics of a whole one."""
+        return distribution(name, np.concatenate(self._parts), "ticks")
+
+
 def distribution(name: str, values_ns: np.ndarray, source: str) -> Distribution:
     """Exact statistics of int64 samples, at least one, in ns."""
     ordered = np.sort(np.asarray(values_ns, np.int64))
@@ -177,7 +205,7 @@ def histogram_of_sorted(ordered: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return row, extreme
 
 
-def _with_skipped(wake_lateness: np.ndarray, skipped: np.ndarray, period_ns: int) -> np.ndarray:
+def with_skipped(wake_lateness: np.ndarray, skipped: np.ndarray, period_ns: int) -> np.ndarray:
     """The lateness of every scheduled period: those that ran, and k periods more for the k-th skipped before one."""
     late = np.flatnonzero(skipped)
     if not len(late):

@@ -9,7 +9,7 @@ from hilrunner.base.units import M_PER_MM, NS_PER_US, PA_PER_MPA
 from hilrunner.evidence.bus import BusUse
 from hilrunner.evidence.check_use import CheckUse
 from hilrunner.evidence.coverage import Count, Coverage
-from hilrunner.evidence.latency import Distribution, Latency
+from hilrunner.evidence.latency import EXACT_SAMPLES_MAX, Distribution, Latency
 from hilrunner.evidence.plant_use import AxisUse
 from hilrunner.setup.limits import KEYS
 
@@ -87,11 +87,12 @@ def _largest_us(name: str) -> Measure:
 
 
 def _p999_us(name: str) -> Measure:
-    """Exact where every tick is in the log, else by the loop's own histogram, rounded up by at most 1.6 %."""
+    """Exact where every tick is at hand and they are not too many, else by the loop's own histogram, rounded up by at most 1.6 %."""
 
     def take(measured: Measured) -> tuple[float, str]:
         exact, loop = measured.latency.distributions.get(name), measured.latency.loop.get(name)
-        found = exact if exact is not None and (loop is None or loop.count <= exact.count) else loop
+        is_whole = exact is not None and (loop is None or loop.count <= exact.count <= EXACT_SAMPLES_MAX)
+        found = exact if is_whole else loop
         if found is None:
             return math.nan, f"the log holds no {name.replace('_', ' ')}"
         return found.values_ns["p999"] / NS_PER_US, _samples(found)

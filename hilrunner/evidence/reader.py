@@ -126,7 +126,12 @@ class Run:
         return {axis: self.topic(f"/{axis}/check", records.CHECK) for axis in self.axis_names}
 
 
-def read_run(path: str | Path, columns: Columns | None = None, consumers: dict[str, Consumer] | None = None) -> Run:
+def read_run(
+    path: str | Path,
+    columns: Columns | None = None,
+    consumers: dict[str, Consumer] | None = None,
+    begin: Callable[[dict[str, dict[str, str]], dict[str, tuple[str, bytes]]], None] | None = None,
+) -> Run:
     """Read a log.
 
     Args:
@@ -134,11 +139,12 @@ def read_run(path: str | Path, columns: Columns | None = None, consumers: dict[s
         columns: topic pattern (`/rt/tick`, `/*/state`) -> the fields to keep (None: all of them); topics that match no
             pattern are left out. Without it everything is kept.
         consumers: topic pattern -> who gets its rows batch by batch instead of their being kept.
+        begin: called with the metadata and attachments (name -> media type, data) of the log's head before the first batch.
 
     Every checksum of the file is compared; what does not match is told in `mismatches`. Raises LogError when the file is
     missing, empty, no MCAP file, or holds no topic of ours; DamagedLogError when that is because it is damaged.
     """
-    collector = _Collector(columns, consumers or {})
+    collector = _Collector(columns, consumers or {}, begin)
     scanner = Scanner(path, collector.take)
     collector.contents = scanner.contents
     collector.scanner = scanner
@@ -236,7 +242,8 @@ class _Topic:
 class _Collector:
     """Sorts batches of messages into topic buffers."""
 
-    def __init__(self, columns: Columns | None, consumers: dict[str, Consumer]) -> None:
+    def __init__(self, columns: Columns | None, consumers: dict[str, Consumer], begin=None) -> None:
+        self._begin = begin
         self.contents = Contents()
         self.scanner: Scanner | None = None
         self._columns = columns
@@ -252,6 +259,9 @@ class _Collector:
 
     def take(self, buffer: np.ndarray, messages: np.ndarray) -> None:
         """One batch, see mcap_scan."""
+        if self._begin is not None:
+            self._begin(self.contents.metadata, self.contents.attachments)
+            self._begin = None
         if not self.first_log_ns:
             self.first_log_ns = int(messages["log_time_ns"][0])
         counts = np.bincount(messages["channel"], minlength=_CHANNELS)

@@ -17,7 +17,7 @@ from hilrunner.evidence.check_use import CheckTally
 from hilrunner.evidence.coverage import Count, coverage_of
 from hilrunner.evidence.facts import RunFacts, read_facts
 from hilrunner.evidence.judging import silent_axes, stall_limit
-from hilrunner.evidence.latency import Latency, Timeline, loop_distributions
+from hilrunner.evidence.latency import Latency, Samples, Timeline, distribution, loop_distributions, with_skipped
 from hilrunner.evidence.limit_measures import Measured
 from hilrunner.evidence.plant_use import AxisTally, reference_m
 from hilrunner.evidence.reader import Attachment, Run
@@ -52,6 +52,7 @@ class Tally:
         self._frames, self._checks = BusTally(), CheckTally(keep_traces=False)
         self._counts = dict.fromkeys(("ticks", "ran", "warm_up", "frames", "miss_rows", "skipped"), 0)
         self._late_ticks: set[int] = set()
+        self._samples = {"wake_lateness": Samples(), "execution": Samples()}
         self._facts = read_facts(self._run())
         speed = self._facts.limits.get("settling_speed_mmps", SETTLING_SPEED_MMPS)
         self._axes = {name: AxisTally(name, self._facts.period_ns, speed) for name in self._names}
@@ -69,10 +70,17 @@ class Tally:
         self._counts["warm_up"] += int((~counted & ~skipped).sum())
         self._counts["skipped"] += int(tick["skipped_count"][counted].sum()) + int((counted & skipped).sum())
         self._late_ticks |= set(tick["tick"][counted & ((tick["flags"] & TICK_FLAG_MISS) != 0)].tolist())
+        self._take_times(tick[counted])
         for index, name in enumerate(self._names):
             of_axis = slice(index, None, len(self._names))
             target = reference_m(tick["tick"], self._facts.period_ns, self._profiles.get(name), None)
             self._axes[name].take(state[of_axis], command[of_axis], target)
+
+    def _take_times(self, tick: np.ndarray) -> None:
+        lateness = tick["wake_mono_ns"] - tick["deadline_mono_ns"]
+        self._samples["wake_lateness"].take(with_skipped(lateness, tick["skipped_count"], self._facts.period_ns))
+        ran = tick[(tick["flags"] & TICK_FLAG_SKIPPED) == 0]  # a skipped period has no duration
+        self._samples["execution"].take(ran["end_mono_ns"] - ran["wake_mono_ns"])
 
     def write_check(self, axis_name: str, check: np.ndarray, log_real_ns, publish_real_ns) -> None:
         """Cross-check records of one axis."""
@@ -89,6 +97,11 @@ class Tally:
         self._counts["frames"] += len(can)
         self._frames("/can/rx", can[~sent])
         self._frames("/can/tx", can[sent])
+
+    def take_frames(self, topic: str, rows: np.ndarray) -> None:
+        """Frames of one topic of a log."""
+        self._counts["frames"] += len(rows)
+        self._frames(topic, rows)
 
     def write_statistics(self, statistics: np.ndarray, log_real_ns: int, publish_real_ns: int) -> None:
         """Nothing: the histograms come whole at the end."""
@@ -117,13 +130,22 @@ class Tally:
             self._metadata[name] = self._metadata.get(name, {}) | {key: str(value) for key, value in table.items()}
         run = self._run()
         facts = read_facts(run)
-        self.verdict = judge(self._subject(run, facts)).as_dict()
+        self.verdict = judge(self._subject(run, facts, None, MEMORY)).as_dict()
 
-    def _subject(self, run: Run, facts: RunFacts) -> Subject:
+    def subject_of_log(self, run: Run, ran_ticks: int, exit_reason: str, source: str) -> Subject:
+        """What is judged of a log whose records were taken here: `run` holds the rest of it.
+
+        Args:
+            ran_ticks, exit_reason: as the runner knows them.
+        """
+        facts = replace(read_facts(run), exit_reason=exit_reason)
+        return self._subject(run, facts, ran_ticks, source)
+
+    def _subject(self, run: Run, facts: RunFacts, ran_ticks: int | None, source: str) -> Subject:
         counts = self._counts
         bus, checks = self._frames.result(facts.bitrate), self._checks.results(facts.period_ns)
         axes = [tally.result() for tally in self._axes.values() if counts["ticks"]]
-        told = coverage_of(run, bus, checks)
+        told = coverage_of(run, bus, checks, ran_ticks)
         coverage = replace(
             told,
             ticks=Count(counts["ticks"], told.ticks.had),
@@ -137,12 +159,18 @@ class Tally:
             profile_problem=facts.profile_problem,
             silent_axes=silent_axes(run, facts, axes, self._names),
             stall_problem=logged_stall_problem(run.metadata.get("run", {}), stall_limit(facts)),
-            source=MEMORY,
+            mismatches=run.mismatches,
+            missing_fields=run.missing_fields,
+            source=source,
         )
 
     def _latency(self, run: Run, facts: RunFacts) -> Latency:
-        """By counts and the loop's own histograms: no sample is kept."""
+        """By counts, the samples of a run that is not too long, and the loop's own histograms."""
         nothing = np.zeros(0)
+        distributions = {name: one.distribution(name) for name, one in self._samples.items() if one.is_whole}
+        responses_ns = self._frames.responses_ns(facts.warm_up_ticks)
+        if len(responses_ns):
+            distributions["response"] = distribution("response", responses_ns, "frames")
         return Latency(
             period_ns=facts.period_ns,
             tick_count=self._counts["ran"],
@@ -153,7 +181,7 @@ class Tally:
             miss_count=len(self._late_ticks),
             misses=[],
             causes={},
-            distributions={},
+            distributions=distributions,
             loop=loop_distributions(run),
             worst_wake=[],
             timeline=Timeline(nothing, nothing, nothing),
