@@ -1,10 +1,13 @@
 """`hilrunner run` behind its options: build the session, watch it, tell how it ended."""
 
 import argparse
+import contextlib
 import json
 import signal
 import sys
+import threading
 import time
+from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -26,6 +29,7 @@ from hilrunner.setup.profile import LoadedProfile, checked
 from hilrunner.setup.session import RunOptions, Session
 
 _LIVE_INTERVAL_S = 0.25
+_LONG_S = 3.0  # after which it is told what is being waited for
 _INSIST_S = 3.0  # the longest period is one second
 
 
@@ -41,6 +45,18 @@ def execute(args: argparse.Namespace, begin_mono_ns: int) -> int:
         return _watched(session, args, key)
     finally:
         _set_signals(before)
+
+
+@contextlib.contextmanager
+def _told_when_long(text: str) -> Iterator[None]:
+    """Say what is being waited for, where it takes a while: on a first start the cross-check may still compile."""
+    timer = threading.Timer(_LONG_S, lambda: print(f"hilrunner: {text}", file=sys.stderr, flush=True))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
 
 
 def _signed(result, key) -> str:
@@ -78,7 +94,8 @@ def _watched(session: Session, args: argparse.Namespace, key) -> int:
     live.close()
     # the run has ended: whoever wants to end it now gets its log and verdict all the same
     _set_signals(dict.fromkeys((signal.SIGINT, signal.SIGTERM), lambda *_: None))
-    result = session.finish()
+    with _told_when_long("the run has ended; its cross-check is still at work, and its log is closed after it"):
+        result = session.finish()
     verdict = verdict_of_run(result)
     code = exit_code_of(result, verdict)
     signed = _signed(result, key)

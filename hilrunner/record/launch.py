@@ -115,12 +115,13 @@ class RecorderHandle:
     def finish(self, timeout_s: float = 60.0) -> dict:
         """Wait for the log to be finished and return the recorder's summary (see docs/log.md).
 
-        The caller has stored WORD_EXIT_REASON before. A recorder that died or hangs gives {"error": [...]} instead.
+        The caller has stored WORD_EXIT_REASON before. A recorder that died, or that has used no processor time for `timeout_s`
+        (it is stopped, or its disk hangs), gives {"error": [...]} instead. One that works is waited for: on a first start its
+        cross-check may still compile (recorder.CHECK_WAIT_S bounds that).
         """
         if self._summary is None:
-            try:
-                out, _ = self.process.communicate(timeout=timeout_s)
-            except subprocess.TimeoutExpired:
+            out = self._output_at_the_end(timeout_s)
+            if out is None:
                 self.process.kill()
                 self.process.communicate()
                 return {"error": ["recorder", f"did not finish within {timeout_s:g} s", "", ""]}
@@ -131,10 +132,32 @@ class RecorderHandle:
                 self._summary = {"error": ["recorder", self._died(), "", ""]}
         return self._summary
 
+    def _output_at_the_end(self, timeout_s: float) -> bytes | None:
+        """What the recorder has said when it ended; None when it has stood still for `timeout_s`."""
+        used, still_since_s = -1.0, time.monotonic()
+        while True:
+            try:
+                return self.process.communicate(timeout=min(1.0, timeout_s))[0]
+            except subprocess.TimeoutExpired:
+                now = processor_s(self.process.pid)
+                if now > used:
+                    used, still_since_s = now, time.monotonic()
+                elif time.monotonic() - still_since_s >= timeout_s:
+                    return None
+
     def _died(self) -> str:
         self._errors.seek(0)
         words = self._errors.read().decode(errors="replace").strip().splitlines()
         return f"ended with code {self.process.poll()}" + (f": {words[-1]}" if words else "")
+
+
+def processor_s(pid: int) -> float:
+    """Processor time a process has used, s (proc(5), fields 14 and 15 of stat); 0 for one that is not there."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def keep_in_memory(name: str, data: bytes) -> int:

@@ -22,7 +22,8 @@ from hilrunner.record.statistics import (
     statistics_record,
 )
 
-CHECK_WAIT_S = 40.0  # for the cross-check's backlog, when the runner waits for the summary
+# for the cross-check's backlog, and on a first start for its compilation: what it has not looked at does not pass
+CHECK_WAIT_S = 240.0
 CHECK_WAIT_ORPHAN_S = 10.0  # when the runner is dead: the log shall be finished soon
 
 

@@ -39,7 +39,7 @@ from hilrunner.setup.stimulus_facts import StimulusFacts
 
 _START_DELAY_NS = 20_000_000  # from "everything is ready" to the deadline of tick 0
 _FOREVER = 1 << 62
-_RECORDER_WAIT_S = 50.0  # longer than the recorder waits for its cross-check, and short of what a hang is
+_RECORDER_WAIT_S = 50.0  # without any progress: short of what a hang is
 _TALLY_MODULE = (
     "hilrunner.evidence.tally_process"  # takes the records of a run that keeps no log, and judges its limits
 )
