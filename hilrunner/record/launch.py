@@ -11,6 +11,7 @@ import pickle
 import subprocess
 import tempfile
 import time
+from pathlib import Path
 
 from hilrunner.base import ring as ring_layout
 from hilrunner.base.errors import LogError

@@ -7,7 +7,7 @@ import time
 
 from hilrunner.record.launch import RecorderHandle, processor_s
 
-WORKS = "import time\nend = time.monotonic() + 3\nwhile time.monotonic() < end: pass\nprint('{\"tick_count\": 7}')"
+WORKS = "import time\nend = time.monotonic() + 5\nwhile time.monotonic() < end: pass\nprint('{\"tick_count\": 7}')"
 STANDS = "import time\ntime.sleep(60)"
 
 
@@ -18,7 +18,7 @@ def handle(code: str) -> RecorderHandle:
 
 def test_one_that_works_is_waited_for_beyond_the_limit():
     recorder = handle(WORKS)
-    assert recorder.finish(timeout_s=1.0) == {"tick_count": 7}
+    assert recorder.finish(timeout_s=2.0) == {"tick_count": 7}
 
 
 def test_one_that_stands_still_is_given_up():
