@@ -15,9 +15,10 @@ from tests.attack.campaign import Campaign, try_cases
 
 def campaigns() -> dict[str, Campaign]:
     """All of them, by name."""
-    from tests.attack import damage, databases, logs
+    from tests.attack import damage, databases, logs, processes, profiles
 
-    found = [damage.CUT, damage.FLIP, logs.LOGS, databases.DATABASES]
+    found = [damage.CUT, damage.FLIP, logs.LOGS, databases.DATABASES, profiles.PROFILES]
+    found += [processes.KILL, processes.SIGNAL, processes.STALL, processes.DISK]
     return {one.name: one for one in found}
 
 

@@ -42,7 +42,7 @@ def recorded_log(folder: Path, duration_s: float = 0.4) -> Path:
     words = ["run", "--profile", str(profile), "--stimulus", "lift-hold-lower-hold", "--duration", str(duration_s)]
     done = subprocess.run(
         [sys.executable, "-m", "hilrunner", *words, "--priority", "0", "--log", str(log)],
-        cwd=folder, capture_output=True, text=True, timeout=300,
+        cwd=folder, capture_output=True, text=True, timeout=1800,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     return log
