@@ -11,7 +11,7 @@ from hilrunner.base import status
 from hilrunner.base.errors import ProfileError, UsageError
 from hilrunner.realtime import command, decode
 from hilrunner.setup.profile import CommandRules, load_profile
-from hilrunner.setup.stimulus import aged_commands, load_stimulus, read_stimulus
+from hilrunner.setup.stimulus import aged_commands, load_stimulus, profile_stimulus, read_stimulus
 
 FULL_OUT = "C522004078563412"  # golden: Active, 100 %, counter 2
 FULL_IN = "6F2F00C0FFFFFFFF"  # golden: Active, -100 %, counter 15
@@ -204,3 +204,12 @@ def test_names_that_no_file_can_have(loaded, name):
         read_stimulus(name, loaded)
     with pytest.raises(ProfileError):
         load_profile(name)
+
+
+def test_the_profile_may_name_the_channel(tmp_path):
+    two_channels(tmp_path)
+    path = tmp_path / "mine.toml"
+    text = 'name = "mine"\n[stimulus]\nschedule = "two.log"\nchannel = "{0}"\n[[axis]]\nname = "luffing"\n'
+    for channel, command_ in (("can0", 1.0), ("can1", -1.0)):
+        path.write_text(text.format(channel))
+        assert profile_stimulus(load_profile(str(path))).commands[0, 0] == command_
