@@ -101,6 +101,8 @@ def fewer_frames(block) -> None:
     block["can"] = block["can"][::2]
 
 
+STALLED = {"stall_count": "2", "stall_ns_max": "250000000", "stall_first_tick": "300"}
+TOLD_ONLY = '\n[deadline.stall_ms]\naction = "warn"\n'
 ALLOWED = "ticks_lost_max = 200\nframes_lost_max = 1000\nmisses_lost_max = 5\nunchecked_ticks_max = 200\n"
 MAKERS = {
     "as planned, limits kept": log(),
@@ -113,6 +115,13 @@ MAKERS = {
     "no valid command of a firmware": log(edit=silent),
     "deadline budget exceeded": ended(status.EXIT_DEADLINE),
     "CAN lost": ended(status.EXIT_CAN_LOST),
+    "the host stalled longer than the profile allows": log(run=STALLED),
+    "the host stalled, and the run is out of tolerance": log(edit=out_of_tolerance, run=STALLED),
+    "the host stalled, which the profile only tells": log(KEPT + TOLD_ONLY, run=STALLED),
+    'ended at once by a stall (`action = "stop"`)': log(
+        run=STALLED | {"exit_reason": status.EXIT_NAMES[status.EXIT_STALLED]}
+    ),
+    "a system call of the loop failed": ended(status.EXIT_SYSTEM_CALL),
     "state not finite": ended(status.EXIT_NOT_FINITE),
     "runner killed, log finished by the recorder": ended(status.EXIT_KILLED),
     "recorder killed, log without an end": without_end,
