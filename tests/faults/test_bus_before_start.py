@@ -11,7 +11,7 @@ from tests.tools import socket_bench
 
 def refused(folder, ours):
     bench = socket_bench.BenchOnSocket(ours, "--log", str(folder / "run.mcap"), "--duration", "1")
-    code, summary, told = bench.end()
+    code, summary, told = bench.end(socket_bench.START_LIMIT_S)
     assert summary == {} and "Traceback" not in told and not list(folder.iterdir())
     lines = [line for line in told.splitlines() if line.startswith("hilrunner") and "compiling" not in line]
     assert len(lines) == 1, told

@@ -97,10 +97,10 @@ class BenchOnSocket:
         time.sleep(seconds)
         self.process.send_signal(signal.SIGCONT)
 
-    def end(self) -> tuple[int, dict, str]:
+    def end(self, limit_s: float = END_LIMIT_S) -> tuple[int, dict, str]:
         """(exit code, summary, what it said on stderr)."""
         try:
-            out, err = self.process.communicate(timeout=END_LIMIT_S)
+            out, err = self.process.communicate(timeout=limit_s)
         except subprocess.TimeoutExpired:
             self.process.kill()
             raise
