@@ -4,4 +4,10 @@ A row is a name and the words of a command that exits with 0 only if everything 
 `{python}` the interpreter of .venv; a word that begins with `tools/` or `tests/` is a path inside the project.
 """
 
-CAMPAIGNS: dict[str, tuple[str, ...]] = {}
+_ATTACKS = (
+    "cut", "flip", "logs", "databases", "profiles", "networks", "kill", "signal", "stall", "disk", "syscall",
+)  # fmt: skip
+
+CAMPAIGNS: dict[str, tuple[str, ...]] = {
+    f"attack-{name}": ("{python}", "tools/attack", name, "--seed", "{seed}") for name in _ATTACKS
+}

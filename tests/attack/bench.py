@@ -65,9 +65,17 @@ class Bench:
 
     Args:
         file_bytes_max: RLIMIT_FSIZE of runner and recorder: a disk that is full at that size; None: none.
+        environment: set for runner and recorder, which is a new program then; None: the child goes on with what is loaded.
     """
 
-    def __init__(self, folder: Path, duration_s: float, file_bytes_max: int | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        duration_s: float,
+        file_bytes_max: int | None = None,
+        environment: dict[str, str] | None = None,
+    ) -> None:
+        self._environment = environment
         self.folder, self.log, self.duration_s = folder, folder / "run.mcap", duration_s
         (folder / "attacked.toml").write_text(PROFILE)
         self.begin_s = time.monotonic()
@@ -150,6 +158,9 @@ class Bench:
             sys.stdout, sys.stderr = os.fdopen(1, "w", closefd=False), os.fdopen(2, "w", closefd=False)
             if file_bytes_max is not None:
                 resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes_max, file_bytes_max))
+            if self._environment is not None:
+                command = [sys.executable, "-m", "hilrunner", *run_words(self.folder, self.log, self.duration_s)]
+                os.execve(sys.executable, command, {**os.environ, **self._environment})
             code = cli.main(run_words(self.folder, self.log, self.duration_s))
         except BaseException:
             traceback.print_exc()

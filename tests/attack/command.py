@@ -17,8 +17,8 @@ def campaigns() -> dict[str, Campaign]:
     """All of them, by name."""
     from tests.attack import damage, databases, logs, processes, profiles
 
-    found = [damage.CUT, damage.FLIP, logs.LOGS, databases.DATABASES, profiles.PROFILES]
-    found += [processes.KILL, processes.SIGNAL, processes.STALL, processes.DISK]
+    found = [damage.CUT, damage.FLIP, logs.LOGS, databases.DATABASES, profiles.PROFILES, profiles.NETWORKS]
+    found += [processes.KILL, processes.SIGNAL, processes.STALL, processes.DISK, processes.SYSCALL]
     return {one.name: one for one in found}
 
 

@@ -1,5 +1,6 @@
 """Runs that are killed, signalled, stopped, or whose disk refuses them: what is in the log afterwards, and whether anybody is told."""
 
+import errno
 import os
 import signal
 import time
@@ -10,6 +11,7 @@ import numpy as np
 from tests.attack.bench import DOCUMENTED, PERIOD_S, Bench, judge_log, replayed, warm_up
 from tests.attack.campaign import Attempt, Campaign, Tried
 from tests.attack.outcome import Outcome
+from tools import failing_calls
 
 DURATION_S = 0.8
 _PLANNED = round(DURATION_S / PERIOD_S)
@@ -155,7 +157,52 @@ class _BenchIn(Bench):
         """Where it is stands fast."""
 
 
+_ERRNOS = (
+    errno.EINTR,
+    errno.EINVAL,
+    errno.EIO,
+    errno.ENOSPC,
+    errno.EPERM,
+    errno.ENOMEM,
+    errno.EAGAIN,
+    errno.ENXIO,
+    errno.EBADF,
+)
+
+
+def prepare_syscall(folder: Path) -> Attempt:
+    """The n-th call of each kind fails, once, three times or for good: calls of the loop and of the recorder."""
+    warm_up(folder)
+    library = failing_calls.build(folder)
+
+    def attempt(rng: np.random.Generator, own: Path) -> Tried:
+        of_loop = rng.random() < 0.5
+        calls = (
+            [call for call in failing_calls.LOOP_CALLS if "mmsg" not in call]
+            if of_loop
+            else failing_calls.RECORDER_CALLS
+        )
+        call, number = str(rng.choice(calls)), int(rng.choice(_ERRNOS))
+        first, count = int(np.exp(rng.uniform(0.0, np.log(700.0)))), int(rng.choice([1, 3, -1]))
+        process, thread = ("attacked.toml", "other") if of_loop else (failing_calls.RECORDER, "any")
+        words = failing_calls.environment(library, call, number, first, count, process, thread)
+        bench = Bench(own, DURATION_S, environment=words)
+        bench.wait_until(0.0)
+        outcome = bench.finish(bench.recorders())
+        told, faults = judge_log(bench.log, _PLANNED)
+        if outcome.code == 0 and not told.startswith("report 0"):
+            faults.append(f"silent pass of the run itself: its log says {told}")
+        group = f"{call} of the {'loop' if of_loop else 'recorder'}"
+        what = (
+            f"{group}: {errno.errorcode[number]} from call {first} on, {'for good' if count < 0 else f'{count} times'}"
+        )
+        return _tried(what, group, outcome, _silent(outcome, faults), told)
+
+    return attempt
+
+
 KILL = Campaign("kill", "kill -9 of runner, recorder or both at any moment", 120, prepare_kill)
 SIGNAL = Campaign("signal", "SIGINT, SIGTERM, SIGHUP at any moment, to runner or recorder", 120, prepare_signal)
 STALL = Campaign("stall", "SIGSTOP of 1 ms to 30 s, over start and end too", 100, prepare_stall)
 DISK = Campaign("disk", "a disk that is full, a log deleted or cut, a folder gone", 120, prepare_disk)
+SYSCALL = Campaign("syscall", "the n-th system call of loop or recorder fails", 120, prepare_syscall)

@@ -25,3 +25,9 @@ def test_what_must_not_happen_is_noticed():
     assert "memory" in Outcome(0, "", "", 0.1, 2_000_000_000).faults()[0]
     assert "control" in Outcome(0, "\x1b[2J", "", 0.1, 10).faults()[0]
     assert Outcome(2, "", "one\ntwo\n", 0.1, 10).faults() == ["a refusal that is not one line"]
+
+
+def test_make_test_long_tries_every_campaign():
+    from tools.campaigns import CAMPAIGNS
+
+    assert {words[2] for words in CAMPAIGNS.values() if words[1] == "tools/attack"} == set(campaigns())
