@@ -52,7 +52,7 @@ def _where(error: Exception) -> str:
 
 
 def _is_ours(filename: str) -> bool:
-    return f"{os.sep}{_PACKAGE}{os.sep}" in filename and "site-packages" not in _short(filename)
+    return _short(filename).startswith(f"{_PACKAGE}/")
 
 
 def _short(filename: str) -> str:

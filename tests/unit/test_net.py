@@ -114,3 +114,16 @@ def test_the_environment_of_a_process_of_ours_names_no_empty_folder(monkeypatch)
     monkeypatch.setenv("PYTHONPATH", ":/one::/two:")
     entries = child.environment(EXTRA="1")["PYTHONPATH"].split(":")
     assert entries[-2:] == ["/one", "/two"] and "" not in entries and "-P" in child.module_command("x")
+
+
+@pytest.mark.parametrize(
+    ("filename", "ours", "shown"),
+    [
+        ("/home/me/hilrunner/hilrunner/setup/bus.py", True, "hilrunner/setup/bus.py"),
+        ("/home/me/hilrunner/.venv/lib/python3.11/site-packages/can/bus.py", False, "can/bus.py"),
+        ("/opt/x/lib/python3.11/site-packages/hilrunner/cli.py", True, "hilrunner/cli.py"),
+        ("/usr/lib/python3.11/json/decoder.py", False, "decoder.py"),
+    ],
+)
+def test_places_are_told_without_the_folders_of_a_machine(filename, ours, shown):
+    assert (net._is_ours(filename), net._short(filename)) == (ours, shown)
