@@ -20,6 +20,8 @@ COMMANDS = {
     "sign": "a signature beside a log: whose key vouches for it",
     "verify": "a log's own checksums, and the signature beside it",
     "replay": "bit-exact surrogate replay, and the DAE beside it",
+    "map": "propose a profile for a database of your own (DBC, KCD, SYM, ARXML)",
+    "decode": "the CAN frames of a log as engineering values; candump and ASC files",
     "train": "sample, solve, train and export a surrogate",
     "reproduce": "the article's figures and tables beside ours: accuracy, creep, training, time, memory",
     "doctor": "is this host fit for real time? each finding with its remedy",

@@ -5,6 +5,7 @@ CONTROL_DISABLED = 0
 CONTROL_HOLD = 1
 CONTROL_ACTIVE = 2
 CONTROL_RESET = 3
+CONTROL_TRIP = 4  # a safety line asks for the fail-safe; no control word of the shipped contract
 
 # mode of an axis in the log and in BENCH_STATUS
 MODE_WAITING = 0  # no valid command yet: valve neutral

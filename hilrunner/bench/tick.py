@@ -43,6 +43,8 @@ _STATE_FIELDS = (
     "state",
     "commands",
     "last_counter",
+    "input",
+    "group_tick",
     "sent_counter",
     "progress",
     "quantity",

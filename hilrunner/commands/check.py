@@ -19,12 +19,14 @@ def main(args: argparse.Namespace) -> int:
     from hilrunner.commands.again import load_again
     from hilrunner.setup.arm import arm_offline
     from hilrunner.setup.axes import engine_named, period_ns, period_s, reference_plants
+    from hilrunner.setup.contract import wiring
     from hilrunner.setup.host import bus_load_ratio
     from hilrunner.setup.period_cost import check_period_cost
     from hilrunner.setup.stability_store import stored_stability_limit_s
     from hilrunner.setup.stimulus import profile_stimulus
     from hilrunner.setup.traffic import profile_traffic
     from hilrunner.setup.wire_span import bench_warnings
+    from hilrunner.setup.wire_text import whole_bus_load, wiring_dict, wiring_lines
 
     loaded = load_again(args.profile)
     stimulus = profile_stimulus(loaded).facts
@@ -46,6 +48,7 @@ def main(args: argparse.Namespace) -> int:
                 "stability_limit_us": round(limit_s * 1e6, 2),
             }
         )
+    understood, whole = wiring(loaded), whole_bus_load(loaded)
     found = {
         "profile": loaded.profile.name,
         "engine": status.ENGINE_NAMES[engine],
@@ -54,6 +57,8 @@ def main(args: argparse.Namespace) -> int:
         "bus_load_ratio": round(load, 4),
         "dbc": armed.dbc_path.name,
         "stimulus": stimulus.as_dict(),
+        "bus_load_ratio_all_messages": None if whole is None else round(whole, 4),
+        "mapping": wiring_dict(understood),
         "warnings": _warnings(load) + list(stimulus.warnings) + bench_warnings(loaded, armed.axes),
     }
     if args.json:
@@ -68,11 +73,19 @@ def main(args: argparse.Namespace) -> int:
     print(f"  one period costs {cost_s * 1e6:.1f} us of {period_s(loaded) * 1e6:g} us here, without bus and log")
     for report in armed.axes.model_reports:
         print("  " + report.text().replace("\n", "\n    "))
-    print(f"  {found['dbc']}: bus load {100 * load:.1f} % of {loaded.profile.can.bitrate} bit/s")
+    print(
+        f"  {found['dbc']}: bus load {100 * load:.1f} % of {loaded.profile.can.bitrate} bit/s by the mapped messages{_whole(whole)}"
+    )
+    for line in wiring_lines(loaded, understood):
+        print(f"    {line}")
     print(f"  {stimulus.text()}")
     for warning in found["warnings"]:
         print(f"  warning: {warning}")
     return 0
+
+
+def _whole(ratio: float | None) -> str:
+    return "" if ratio is None else f", {100 * ratio:.1f} % by all messages of the file that have a cycle time"
 
 
 def _warnings(bus_load_ratio: float) -> list[str]:

@@ -7,6 +7,7 @@ import numpy as np
 from hilrunner.base import histogram_scale, records, state_layout, status
 from hilrunner.base import ring as ring_layout
 from hilrunner.base.units import M_PER_MM, NS_PER_MS, PA_PER_MPA
+from hilrunner.record.statistics import clamped_counts as counted
 from hilrunner.setup.contract import sent_signal_names
 from hilrunner.setup.model_onnxruntime import engine_errors
 from hilrunner.setup.session import RunResult
@@ -33,8 +34,7 @@ def frame_counts(result: RunResult) -> dict[str, dict[str, int]]:
 
 def clamped_counts(result: RunResult) -> dict[str, int]:
     """How often each sent signal could not carry its value and carried an end of its range instead; zeros left out."""
-    names = sent_signal_names(result.armed.loaded)
-    return {name: int(count) for name, count in zip(names, result.ring.clamped_count, strict=False) if count}
+    return counted(result.ring, sent_signal_names(result.armed.loaded))
 
 
 def axis_end(result: RunResult) -> list[dict]:

@@ -10,12 +10,12 @@ from hilrunner.base import status
 from hilrunner.base.errors import UsageError
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
 from hilrunner.setup.axes import period_ns
-from hilrunner.setup.load_span import load_warnings
 from hilrunner.setup.model_onnxruntime import engine_errors
 from hilrunner.setup.parcel import Parcel
 from hilrunner.setup.profile import LoadedProfile
 from hilrunner.setup.simulate import Simulated
 from hilrunner.setup.stimulus_facts import StimulusFacts
+from hilrunner.setup.wire_span import bench_warnings
 
 _SHOWN = (
     ("chamber_1_pressure_pa", "p1", "MPa", PA_PER_MPA),
@@ -77,7 +77,7 @@ def figures(
         "duration_s": len(first.tick) * period_ns(loaded) * 1e-9,
         "finite": finite,
         "engine_errors": [] if finite else _engine_errors(loaded, first, second),
-        "warnings": [*stimulus.warnings, *load_warnings(loaded, first.armed.axes.plants)],
+        "warnings": [*stimulus.warnings, *bench_warnings(loaded, first.armed.axes)],
         "axes": axes,
     }
 

@@ -2,7 +2,8 @@
 
 Goals: firmware that dies never leaves the valve open; the same ticks and frames give the same command in any replay.
 Invariants: age is counted in grid periods, never in wall-clock time; FAIL_SAFE is left by a Reset frame alone; the command
-is 0 in every mode but ACTIVE, STALE_HOLD and STALE_RAMP; the command applied is always within -1..1.
+is 0 in every mode but ACTIVE, STALE_HOLD and STALE_RAMP; the command applied is always within -1..1. A safety line (Trip) latches
+FAIL_SAFE from any mode.
 
     WAITING --valid--> DISABLED / HOLD / ACTIVE --no valid frame for stale_after--> STALE_HOLD --hold_for--> STALE_RAMP
             --ramp_for--> FAIL_SAFE (latched) --Reset--> HOLD;   a valid frame in STALE_* returns to its control word
@@ -44,16 +45,18 @@ def make_command_state(stale_after_ns: int, hold_for_ns: int, ramp_for_ns: int) 
 
 
 @hot
-def accept(commands, axis, fresh, tick):
-    """Take a valid frame of this tick; the newest of a tick wins."""
+def accept(commands, axis, fresh):
+    """Take a valid command; the newest of a tick wins. A safety line latches the fail-safe as a lost firmware does."""
     row = commands[axis]
     new = fresh[axis]
-    row["valid_tick"] = tick
+    row["valid_tick"] = new["valid_tick"]
     row["setpoint"] = new["valve_command"]
     row["timestamp_us"] = new["timestamp_us"]
     row["control"] = new["control"]
     row["counter"] = new["counter"]
-    if row["mode"] == status.MODE_FAIL_SAFE:
+    if new["control"] == status.CONTROL_TRIP:
+        row["mode"] = status.MODE_FAIL_SAFE
+    elif row["mode"] == status.MODE_FAIL_SAFE:
         if new["control"] == status.CONTROL_RESET:
             row["mode"] = status.MODE_HOLD
     else:

@@ -13,7 +13,7 @@ from hilrunner.plant.step import advance, current_load_force
 from hilrunner.plant.wave import heave_motion
 from hilrunner.plant.wave import load_scale as wave_load_scale
 from hilrunner.realtime import command, encode, faults
-from hilrunner.realtime.decode import decode_command
+from hilrunner.realtime.decode import NO_FRAME, accept_counter, check_frame, read_group, take_group
 from hilrunner.realtime.handle import handle
 from hilrunner.realtime.socketcan import FRAME_SIZE_CLASSIC, FRAME_SIZE_FD
 
@@ -42,37 +42,93 @@ def begin_period(bench):
 @entry  # cached by itself: what calls it need not compile it again
 def decode_frames(bench, tick, first, end):
     """Check each of these frames of the inbox, keep the newest valid command of every axis, count all."""
-    axis_count = bench.commands.shape[0]
     for k in range(first, end):
-        axis, code = _decode_one(bench, tick, k)
-        in_table = 0 <= axis < axis_count
-        bench.frame_axis[k] = axis if in_table else NO_AXIS_BYTE
-        bench.frame_status[k] = code
-        bench.ring.frame_count[axis if in_table else axis_count, code] += 1
-        if in_table:
-            bench.commands[axis]["status"] = code
-            if code == status.FRAME_VALID:
-                command.accept(bench.commands, axis, bench.fresh, tick)
-                bench.progress[0]["echo_real_ns"] = bench.inbox.kernel_real_ns[k]
+        _decode_one(bench, tick, k)
 
 
 @hot
 def _decode_one(bench, tick, k):
-    """Axis and status of frame k of the inbox; a short or foreign-sized packet is a wrong length."""
+    """Check and take frame k of the inbox, and count it once for every axis it speaks to; 255 in frame_axis: to none."""
+    message, code, counter = _check_one(bench, k)
+    bench.frame_axis[k] = NO_AXIS_BYTE
+    bench.frame_status[k] = code
+    if message == NO_FRAME:
+        bench.ring.frame_count[bench.commands.shape[0], code] += 1
+        return
+    row = bench.command_table.frames[message]
+    group = np.int64(row["group_first"])
+    end = group + np.int64(row["group_count"])
+    good = np.int64(0)
+    bad = np.int64(0)
+    while group < end:
+        axis = np.int64(bench.command_table.groups[group]["axis"])
+        outcome = np.int64(FRAME_STATUS_NONE)
+        while group < end and bench.command_table.groups[group]["axis"] == axis:  # the pages of one axis
+            outcome = _decode_group(bench, tick, k, group, code, counter, outcome)
+            group += 1
+        if outcome == FRAME_STATUS_NONE:
+            continue
+        if outcome == status.FRAME_VALID:
+            good += 1
+            if faults.acts(bench.faults, faults.COMMAND_LOST, axis, tick):
+                _note_lost(bench, k, good + bad)
+                continue
+        else:
+            bad += 1
+        bench.ring.frame_count[axis, outcome] += 1
+        bench.commands[axis]["status"] = outcome
+        if good + bad == 1 or (
+            bad == 1 and outcome != status.FRAME_VALID
+        ):  # the first axis, or the first that refuses it
+            bench.frame_axis[k] = axis
+            bench.frame_status[k] = outcome
+    if good + bad == 0:
+        bench.ring.frame_count[bench.commands.shape[0], code] += 1
+    if code == status.FRAME_VALID and (good > 0 or bad == 0):
+        accept_counter(bench.command_table, message, counter, bench)
+
+
+@hot
+def _decode_group(bench, tick, k, group, code, counter, outcome):
+    """What became of one part of a frame: `outcome` is what became of the axis' parts before it."""
+    data = bench.inbox.frame[k, _DATA_AT:]
+    found = code
+    if code == status.FRAME_VALID:
+        found = read_group(bench.command_table, group, data, bench)
+    if found == FRAME_STATUS_NONE:
+        return outcome
+    if found == status.FRAME_VALID:
+        axis = np.int64(bench.command_table.groups[group]["axis"])
+        lost = faults.acts(bench.faults, faults.COMMAND_LOST, axis, tick)
+        if not lost and take_group(bench.command_table, group, tick, counter, bench):
+            command.accept(bench.commands, axis, bench.fresh)
+            bench.progress[0]["echo_real_ns"] = bench.inbox.kernel_real_ns[k]
+    return found if outcome == FRAME_STATUS_NONE or outcome == status.FRAME_VALID else outcome
+
+
+@hot
+def _note_lost(bench, k, axis_number):
+    """A frame that an injected fault keeps from its axis counts as one that belongs to none."""
+    bench.ring.frame_count[bench.commands.shape[0], status.FRAME_UNKNOWN_ID] += 1
+    if axis_number == 1:
+        bench.frame_status[k] = status.FRAME_UNKNOWN_ID
+
+
+@hot
+def _check_one(bench, k):
+    """(message, status, counter) of frame k of the inbox; a short or foreign-sized packet is a wrong length."""
     frame = bench.inbox.frame[k]
     size = bench.inbox.size_bytes[k]
     if size != FRAME_SIZE_CLASSIC and size != FRAME_SIZE_FD:
-        return np.int64(-1), np.int64(status.FRAME_WRONG_LENGTH)
+        return NO_FRAME, np.int64(status.FRAME_WRONG_LENGTH), np.int64(0)
     can_id = np.int64(frame[0]) | np.int64(frame[1]) << 8 | np.int64(frame[2]) << 16 | np.int64(frame[3]) << 24
     length = np.int64(frame[4])
     if length > size - _DATA_AT:
-        return np.int64(-1), np.int64(status.FRAME_WRONG_LENGTH)
-    axis, code = decode_command(bench.command_table, can_id, length, frame[_DATA_AT:], bench.last_counter, bench.fresh)
+        return NO_FRAME, np.int64(status.FRAME_WRONG_LENGTH), np.int64(0)
+    message, code, counter = check_frame(bench.command_table, can_id, length, frame[_DATA_AT:], bench)
     if code == status.FRAME_UNKNOWN_ID:
-        code = _foreign_status(bench.measurement_table, can_id)
-    if axis >= 0 and code == status.FRAME_VALID and faults.acts(bench.faults, faults.COMMAND_LOST, axis, tick):
-        return np.int64(-1), np.int64(status.FRAME_UNKNOWN_ID)
-    return np.int64(axis), np.int64(code)
+        code = np.int64(_foreign_status(bench.measurement_table, can_id))
+    return message, code, counter
 
 
 @hot
@@ -171,21 +227,21 @@ def encode_stage(bench, tick):
     for message in range(table.message_count):
         if tick % table.period_ticks[message] != table.phase[message]:
             continue
-        axis = table.axis[message]
-        if faults.acts(bench.faults, faults.MEASUREMENT_LOST, axis, tick):
+        harmed = bench.faults.shape[0] > 0
+        if harmed and faults.acts_on_any(bench.faults, faults.MEASUREMENT_LOST, table.axes[message], tick):
             continue
         frame = bench.outbox.frame[count]
         length = encode.encode_measurement(
             table, message, bench.quantity, bench.sent_counter, bench.ring.clamped_count, frame[_DATA_AT:]
         )
-        if faults.acts(bench.faults, faults.MEASUREMENT_BAD_CRC, axis, tick):
-            frame[_DATA_AT] ^= np.uint8(0xFF)
+        if harmed and faults.acts_on_any(bench.faults, faults.MEASUREMENT_BAD_CRC, table.axes[message], tick):
+            frame[_DATA_AT + table.checksum_byte[message]] ^= np.uint8(0xFF)
         can_id = np.int64(table.can_id[message])
         for byte in range(4):
             frame[byte] = np.uint8((can_id >> (8 * byte)) & 0xFF)
         frame[4] = np.uint8(length)
         is_fd = table.fd[message] != 0
-        frame[5] = np.uint8(_FD_FLAGS if is_fd else 0)
+        frame[5] = np.uint8(_FD_FLAGS | table.fd[message] >> 1 if is_fd else 0)
         bench.outbox.size_bytes[count] = FRAME_SIZE_FD if is_fd else FRAME_SIZE_CLASSIC
         count += 1
     return count

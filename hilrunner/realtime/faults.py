@@ -128,6 +128,16 @@ def acts(faults, kind, axis, tick):
 
 
 @hot
+def acts_on_any(faults, kind, axes, tick):
+    """Whether a fault of this kind acts now on one of the axes whose bits stand in `axes`."""
+    for k in range(faults.shape[0]):
+        row = faults[k]
+        if row["kind"] == kind and (axes >> row["axis"]) & 1 and is_active(row, tick):
+            return True
+    return False
+
+
+@hot
 def any_active(faults, axis, tick):
     """Whether any fault acts on this axis now."""
     for k in range(faults.shape[0]):

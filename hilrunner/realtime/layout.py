@@ -95,8 +95,10 @@ class Bench(NamedTuple):
     # state: what the next period needs
     state: np.ndarray  # (axis, STATE_SIZE) float64, base.state_layout
     commands: np.ndarray  # (axis,) command.COMMAND_STATE
-    last_counter: np.ndarray  # (axis,) int64: alive counter of the newest accepted frame; -1: none
-    sent_counter: np.ndarray  # (message,) int64: alive counter of the next measurement frame
+    last_counter: np.ndarray  # (command message,) int64: alive counter of the newest accepted frame; -1: none
+    input: np.ndarray  # (axis, INPUT_COUNT) float64: newest accepted value of each role, decode.INPUT_*
+    group_tick: np.ndarray  # (group,) int64: tick of the newest accepted frame of each part of a command; -1: none
+    sent_counter: np.ndarray  # (measurement message,) int64: alive counter of the newest frame of each stream
     faults: np.ndarray  # (fault,) faults.FAULT
     progress: np.ndarray  # (1,) PROGRESS
     quantity: np.ndarray  # (axis, QUANTITY_COUNT) float64: what was measured in this period
@@ -104,6 +106,7 @@ class Bench(NamedTuple):
     state_flags: np.ndarray  # (axis,) int64: status.FLAG_* of this period
     # scratch: meaningless between periods
     fresh: np.ndarray  # (axis,) decode.FRESH
+    field_value: np.ndarray  # (field,) float64: what a frame carries, before it is taken
     plant_scratch: np.ndarray  # (SCRATCH_SIZE,) float64
     inbox: Mailbox
     outbox: Mailbox

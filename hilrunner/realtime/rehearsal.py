@@ -18,6 +18,8 @@ _COPIED = (
     "state",
     "commands",
     "last_counter",
+    "input",
+    "group_tick",
     "sent_counter",
     "faults",
     "progress",
@@ -60,7 +62,12 @@ def _follow(bench, shadow):
         for place in range(bench.quantity.shape[1]):
             shadow.quantity[axis, place] = bench.quantity[axis, place]
         shadow.commands[axis] = bench.commands[axis]
-        shadow.last_counter[axis] = bench.last_counter[axis]
+        for place in range(bench.input.shape[1]):
+            shadow.input[axis, place] = bench.input[axis, place]
+    for message in range(bench.last_counter.shape[0]):
+        shadow.last_counter[message] = bench.last_counter[message]
+    for group in range(bench.group_tick.shape[0]):
+        shadow.group_tick[group] = bench.group_tick[group]
     for message in range(bench.sent_counter.shape[0]):
         shadow.sent_counter[message] = bench.sent_counter[message]
     for fault in range(bench.faults.shape[0]):

@@ -23,7 +23,7 @@ _MEANINGS = {
     "valve_command": "-1..1, as applied to the plant",
     "age_ns": "since the tick that received the newest valid command; -1: none yet",
     "mode": "mode of the axis: " + ", ".join(f"{i} {name}" for i, name in enumerate(status.MODE_NAMES)),
-    "control": "control word of the newest valid command: 0 disabled, 1 hold, 2 active, 3 reset",
+    "control": "control word of the newest valid command: 0 disabled, 1 hold, 2 active, 3 reset, 4 tripped by a safety line",
     "counter": "alive counter of the newest valid command",
     "load_scale": "factor on the static load in this period",
     "lag_ns": "how far the check was behind the loop",

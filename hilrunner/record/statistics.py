@@ -50,7 +50,11 @@ def histogram_text(ring: ring_layout.Ring) -> str:
 
 def clamped_counts(ring: ring_layout.Ring, sent_signals: list[str]) -> dict[str, int]:
     """Sent signals that carried an end of their range because the value lay outside: `MESSAGE.signal` -> times."""
-    return {name: int(count) for name, count in zip(sent_signals, ring.clamped_count, strict=False) if count}
+    counts: dict[str, int] = {}
+    for name, count in zip(sent_signals, ring.clamped_count.tolist(), strict=False):
+        if count:  # a plain signal of a multiplexed message has an entry for each page
+            counts[name] = counts.get(name, 0) + count
+    return counts
 
 
 def frame_counts(ring: ring_layout.Ring, axis_names: list[str]) -> dict[str, str]:

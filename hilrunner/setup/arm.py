@@ -87,6 +87,7 @@ def arm(
     """
     commands, measurements = signal_tables(loaded)
     axis_count = len(axes.plants)
+    receiver = decode.new_receiver(commands, axis_count)
     rusage, schedstat_text, usage_before, usage_after = make_usage_scratch()
     bench = Bench(
         config=_config(loaded, stimulus, overrun, schedstat_fd, record),
@@ -97,14 +98,17 @@ def arm(
         stimulus=np.zeros((1, axis_count)) if stimulus is None else np.ascontiguousarray(stimulus, np.float64),
         state=axes.initial_states.copy(),
         commands=np.concatenate([_command_rules(axis.command) for axis in loaded.profile.axis]),
-        last_counter=decode.no_counters(axis_count),
+        last_counter=receiver.last_counter,
+        input=receiver.input,
+        group_tick=receiver.group_tick,
         sent_counter=encode.send_counters(measurements),
         faults=_faults(loaded),
         progress=np.zeros(1, PROGRESS),
         quantity=encode.no_quantities(axis_count),
         load_scale=np.ones(axis_count),
         state_flags=np.zeros(axis_count, np.int64),
-        fresh=decode.fresh_commands(axis_count),
+        fresh=receiver.fresh,
+        field_value=receiver.field_value,
         plant_scratch=np.zeros(SCRATCH_SIZE),
         inbox=make_mailbox(INBOX_FRAMES),
         outbox=make_mailbox(max(1, measurements.message_count)),

@@ -13,9 +13,10 @@ from hilrunner.setup.database import load_database
 from hilrunner.setup.mapping import HEAVE_MESSAGE, AxisMapping, default_mapping
 from hilrunner.setup.profile import LoadedProfile, SealedFile
 from hilrunner.setup.profile_files import find_file, is_file, sealed_file
-from hilrunner.setup.signals import load_signals
+from hilrunner.setup.signals import Wiring, wire
 
 DBC_SIZE_MAX_BYTES = 64 * 1024 * 1024
+OWN_FILE_SIZE_MAX_BYTES = 1024 * 1024
 
 
 def dbc_path(loaded: LoadedProfile) -> Path:
@@ -62,19 +63,44 @@ def read_dbc(loaded: LoadedProfile) -> SealedFile:
         raise DbcError(str(path), f"cannot be read ({error.strerror})", remedy="name an existing DBC file") from error
 
 
+def wiring(loaded: LoadedProfile) -> Wiring:
+    """The mapping of a profile as it is understood; DbcError or ProfileError where it cannot be."""
+    return wire(
+        dbc_path(loaded),
+        axis_mappings(loaded),
+        period_ns(loaded),
+        fd=loaded.profile.can.fd,
+        read_own=lambda name: read_own_file(loaded, name).data,
+        stale_after_ms=[axis.command.stale_after_ms for axis in loaded.profile.axis],
+    )
+
+
 def signal_tables(loaded: LoadedProfile) -> tuple[CommandTable, MeasurementTable]:
     """Command and measurement tables of a profile; DbcError or ProfileError where they cannot be made."""
-    return load_signals(dbc_path(loaded), axis_mappings(loaded), period_ns(loaded), fd=loaded.profile.can.fd)
+    understood = wiring(loaded)
+    return understood.commands, understood.measurements
 
 
 def sent_signal_names(loaded: LoadedProfile) -> list[str]:
-    """`MESSAGE.signal` of every signal the bench fills, in the order of the measurement table."""
-    return [
-        f"{entry.message}.{mapped if isinstance(mapped, str) else mapped.signal}"
-        for axis in axis_mappings(loaded)
-        for entry in axis.measurements
-        for mapped in entry.signals.values()
-    ]
+    """`MESSAGE.signal` of every row of the measurement table; a plain signal stands once in each page of its message."""
+    return [sent.name for sent in wiring(loaded).sent]
+
+
+def read_own_file(loaded: LoadedProfile, name: str) -> SealedFile:
+    """A Python file with a protection of the user's own, beside the profile or in its log; DbcError where it cannot be read."""
+    found = sealed_file(loaded, name)
+    if found is not None:
+        return found
+    path = find_file(loaded, name, loaded.path.parent)
+    try:
+        if path.stat().st_size > OWN_FILE_SIZE_MAX_BYTES:
+            raise DbcError(
+                str(path), f"{path.stat().st_size} bytes", f"at most {OWN_FILE_SIZE_MAX_BYTES}", "name a Python file"
+            )
+        return SealedFile(path.read_bytes(), str(path), path)
+    except OSError as error:
+        remedy = "name a file beside the profile"
+        raise DbcError(f"{loaded.path}: {name}", f"cannot be read ({error.strerror})", remedy=remedy) from None
 
 
 def axis_mappings(loaded: LoadedProfile) -> list[AxisMapping]:

@@ -14,9 +14,10 @@ from hilrunner.base import status
 from hilrunner.base.errors import ProfileError
 from hilrunner.plant.schedule import SCHEDULES
 from hilrunner.setup import effective, model_file, resources
-from hilrunner.setup.contract import read_dbc
+from hilrunner.setup.contract import read_dbc, read_own_file
 from hilrunner.setup.profile import LoadedProfile, SealedFile
 from hilrunner.setup.profile_files import find_file, is_file, sealed_file
+from hilrunner.setup.user_check import with_own_files
 
 STIMULUS_ATTACHMENT = "stimulus.npy"
 HISTOGRAM_ATTACHMENT = "rt_histograms.json"  # added by the recorder at the end
@@ -67,13 +68,14 @@ def pack(loaded: LoadedProfile, engine: int, models: bool = True) -> Parcel:
     packing = _Packing(loaded)
     profile = loaded.profile
     dbc = packing.add(profile.can.dbc, read_dbc(loaded))
+    mapping = tuple(with_own_files(one, packing.add_own_file) for one in profile.can.mapping)
     axes = []
     for axis in profile.axis:
         name = packing.add_model(axis.model) if axis.model and models else axis.model
         axes.append(msgspec.structs.replace(axis, model=name))
     changed = loaded.changed(
         axis=tuple(axes),
-        can=msgspec.structs.replace(profile.can, dbc=dbc),
+        can=msgspec.structs.replace(profile.can, dbc=dbc, mapping=mapping),
         bench=msgspec.structs.replace(profile.bench, engine=status.ENGINE_NAMES[engine]),
         stimulus=msgspec.structs.replace(profile.stimulus, schedule=packing.add_schedule(profile.stimulus.schedule)),
     )
@@ -120,6 +122,10 @@ class _Packing:
         if model.sheet_data:
             self.files[f"{kept}.json"] = SealedFile(model.sheet_data, f"{model.place}.json")
         return kept
+
+    def add_own_file(self, name: str) -> str:
+        """A Python file with a protection of the user's own."""
+        return self.add(name, read_own_file(self.loaded, name))
 
     def add_schedule(self, name: str) -> str:
         """A schedule in a file; one that ships by name is part of the program, one that is missing is not asked for."""

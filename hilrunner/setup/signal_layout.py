@@ -4,30 +4,69 @@ Decimal numbers of the DBC are taken as exact fractions: 16384 * 0.006103515625 
 """
 
 import math
+from dataclasses import dataclass, field
 from fractions import Fraction
 
 import numpy as np
 
 from hilrunner.base.errors import DbcError
 from hilrunner.realtime import bits, encode
+from hilrunner.setup.mapping import SignalMapping, as_mapping
 
 LARGEST_NUMBER = 1e30  # of a scale, an offset, an end of a range: no quantity comes near, and sums of them stay finite
 
 
-def find(place: str, message, name: str):
-    """The signal of that name (a cantools Signal); DbcError with the names there are."""
+@dataclass(frozen=True)
+class Signal:
+    """A signal as the tables need it: the database's, with what the mapping says in its place."""
+
+    name: str
+    start: int  # as a DBC gives it
+    length: int
+    byte_order: str  # little_endian, big_endian
+    is_signed: bool
+    is_float: bool
+    scale: float
+    offset: float
+    minimum: float | None
+    maximum: float | None
+    unit: str
+    choices: dict | None
+    multiplexer_ids: tuple[int, ...] | None
+    multiplexer_signal: str | None
+
+
+def find(place: str, message, mapped: str | SignalMapping) -> Signal:
+    """The signal a mapping names; DbcError with the names there are."""
+    mapped = as_mapping(mapped)
     for signal in message.signals:
-        if signal.name == name:
-            if signal.is_multiplexer or signal.multiplexer_ids is not None:
-                raise DbcError(
-                    f"{place}: {message.name}.{name}",
-                    "is multiplexed",
-                    "plain signals",
-                    "map a message without multiplexing",
-                )
-            return signal
+        if signal.name == mapped.signal:
+            return _with_mapping(signal, mapped)
     known = ", ".join(signal.name for signal in message.signals)
-    raise DbcError(f"{place}: {message.name}", f"no signal '{name}'", known)
+    raise DbcError(f"{place}: {message.name}", f"no signal '{mapped.signal}'", known)
+
+
+def _with_mapping(signal, mapped: SignalMapping) -> Signal:
+    own_scale = mapped.scale is not None or mapped.offset is not None  # the database's range is one of its own scale
+    minimum, maximum = (None, None) if own_scale else (signal.minimum, signal.maximum)
+    if mapped.range is not None:
+        minimum, maximum = mapped.range
+    return Signal(
+        name=signal.name,
+        start=signal.start,
+        length=signal.length,
+        byte_order=signal.byte_order,
+        is_signed=bool(signal.is_signed),
+        is_float=bool(signal.is_float),
+        scale=signal.scale if mapped.scale is None else mapped.scale,
+        offset=signal.offset if mapped.offset is None else mapped.offset,
+        minimum=minimum,
+        maximum=maximum,
+        unit=(signal.unit or "").strip(),
+        choices=signal.choices,
+        multiplexer_ids=None if signal.multiplexer_ids is None else tuple(signal.multiplexer_ids),
+        multiplexer_signal=signal.multiplexer_signal,
+    )
 
 
 def bit_places(start: int, length: int, byte_order: str) -> list[int]:
@@ -67,7 +106,7 @@ def windows(places: list[int], big_endian: bool) -> list[tuple[int, int, int, in
     return out
 
 
-def _window_bits(row: np.ndarray) -> int:
+def window_bits(row: np.ndarray) -> int:
     """The data bits a signal takes, as one number: data byte b holds bits 8 b … 8 b + 7."""
     own = 0
     for index in range(int(row["window_count"])):
@@ -77,12 +116,8 @@ def _window_bits(row: np.ndarray) -> int:
     return own
 
 
-def row(where: str, signal, factor: Fraction, modulus: bool, limits: tuple[float, float] | None = None) -> np.ndarray:
-    """The row of a signal whose physical value times `factor` is SI.
-
-    Args:
-        modulus: it wraps instead of being clamped. limits: lowest and highest physical value in place of the DBC's.
-    """
+def row(where: str, signal, factor: Fraction, modulus: bool) -> np.ndarray:
+    """The row of a signal whose physical value times `factor` is SI; `modulus`: it wraps instead of being clamped."""
     if not 1 <= signal.length <= 64:
         raise DbcError(where, f"{signal.length} bits long", "1..64 bits")
     _check_numbers(where, signal)
@@ -103,7 +138,7 @@ def row(where: str, signal, factor: Fraction, modulus: bool, limits: tuple[float
     out["sign_bit"] = 1 << (signal.length - 1) if out["kind"] == bits.KIND_SIGNED else 0
     out["scale"] = float(scale * factor)
     out["offset"] = float(Fraction(str(signal.offset)) * factor)
-    out["number_min"], out["number_max"] = _number_range(where, signal, int(out["kind"]), scale, limits)
+    out["number_min"], out["number_max"] = _number_range(where, signal, int(out["kind"]), scale)
     if modulus:
         _check_modulus(where, signal, out)
         out["modulus"] = float(1 << signal.length)
@@ -143,10 +178,10 @@ def _check_modulus(where: str, signal, out: np.ndarray) -> None:
         raise DbcError(where, "a counter that wraps must be unsigned, without offset", "up to 52 bits")
 
 
-def _number_range(where: str, signal, kind: int, scale: Fraction, limits) -> tuple[float, float]:
+def _number_range(where: str, signal, kind: int, scale: Fraction) -> tuple[float, float]:
     """Allowed numbers on the wire: the range told, cut to what the bits can hold; [0|0] means no range."""
     low, high = _full_range(signal.length, kind)
-    minimum, maximum = limits or (signal.minimum, signal.maximum)
+    minimum, maximum = signal.minimum, signal.maximum
     if minimum is not None and maximum is not None and not (minimum == 0 and maximum == 0):
         offset = Fraction(str(signal.offset))
         ends = sorted(((Fraction(str(end)) - offset) / scale) for end in (minimum, maximum))
@@ -179,13 +214,35 @@ def _float_at_least(value: int | float) -> float:
     return math.nextafter(number, math.inf) if number < value else number
 
 
-def check_room(where: str, length: int, rows: list[np.ndarray], protected: bool) -> None:
-    """Every mapped signal inside the message, no two on the same bits, none on CRC or counter."""
-    used = 0x0FFF if protected else 0
-    for out in rows:
-        own = _window_bits(out)
+@dataclass(frozen=True)
+class Placed:
+    """Bits of a message that somebody uses: the mapped signal of that name, on the page it belongs to."""
+
+    name: str
+    row: np.ndarray
+    page: dict[str, frozenset[int]] = field(default_factory=dict)  # multiplexer -> numbers at which it is there
+
+    def meets(self, other: "Placed") -> bool:
+        """Whether one frame can carry both."""
+        return all(self.page[name] & other.page[name] for name in self.page.keys() & other.page.keys())
+
+
+def check_room(where: str, length: int, placed: list[Placed], reserved: int = 0, may_repeat: bool = False) -> None:
+    """Every mapped signal inside the message, no two of a page on the same bits, none on those of the protection.
+
+    Args:
+        reserved: the protection's bits as one number. may_repeat: one signal may be read for several ends.
+    """
+    for index, one in enumerate(placed):
+        own = window_bits(one.row)
         if own >> 8 * length:
             raise DbcError(where, "a mapped signal reaches beyond the message", f"{length} bytes")
-        if own & used:
-            raise DbcError(where, "two mapped signals, or a signal and CRC or counter, share bits")
-        used |= own
+        if own & reserved:
+            raise DbcError(where, f"two mapped signals, or a signal and CRC or counter, share bits ({one.name})")
+        for other in placed[:index]:
+            if may_repeat and other.name == one.name:
+                continue
+            if own & window_bits(other.row) and one.meets(other):
+                raise DbcError(
+                    where, f"two mapped signals, or a signal and CRC or counter, share bits ({other.name}, {one.name})"
+                )

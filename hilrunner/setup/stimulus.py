@@ -26,6 +26,7 @@ from hilrunner.setup.stimulus_facts import StimulusFacts
 from hilrunner.setup.text import Contents, decoded, read_contents, unpacked
 
 _MOST_TICKS = 100_000_000  # 28 h at 1 kHz; more does not fit in memory
+_UNTOUCHED = np.iinfo(np.int64).min
 _LONG_AGO_NS = 1 << 60  # 36 years: what lies further back is refused all the same
 _BACKWARD_NS = NS_PER_S  # stamps of two channels in one log may be out of order by a little
 
@@ -225,17 +226,19 @@ def _decoded(log: CanLog, ticks: np.ndarray, loaded: LoadedProfile) -> tuple[lis
     axis_count = len(loaded.profile.axis)
     table, _ = signal_tables(loaded)
     found = [_Commands([], [], [], []) for _ in range(axis_count)]
-    counters: dict[str, np.ndarray] = {}
-    fresh, counts = decode.fresh_commands(axis_count), {}
+    receivers: dict[str, decode.Receiver] = {}
+    counts: dict[int, int] = {}
     data = np.zeros(64, np.uint8)
     for tick, channel, packet in zip(ticks.tolist(), log.channel, log.packet, strict=True):
         data[: len(packet) - 8] = np.frombuffer(packet, np.uint8, offset=8)
-        if channel not in counters:
-            counters[channel] = decode.no_counters(axis_count)
+        if channel not in receivers:
+            receivers[channel] = decode.new_receiver(table, axis_count)
+        fresh = receivers[channel].fresh
+        fresh["valid_tick"] = _UNTOUCHED
         can_id = int.from_bytes(packet[:4], "little")
-        axis, code = decode.decode_command(table, can_id, packet[4], data, counters[channel], fresh)
+        _, code = decode.decode_command(table, can_id, packet[4], data, tick, receivers[channel])
         counts[int(code)] = counts.get(int(code), 0) + 1
-        if code == status.FRAME_VALID:
+        for axis in np.flatnonzero(fresh["valid_tick"] != _UNTOUCHED).tolist():  # one frame may speak to several
             one, new = found[axis], fresh[axis]
             one.tick.append(tick)
             one.setpoint.append(float(new["valve_command"]))

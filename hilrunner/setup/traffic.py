@@ -3,8 +3,7 @@
 from hilrunner.base.units import NS_PER_MS, NS_PER_S
 from hilrunner.realtime.decode import CommandTable
 from hilrunner.realtime.encode import MeasurementTable
-from hilrunner.setup.contract import axis_mappings, dbc_path, signal_tables
-from hilrunner.setup.database import find_message, load_database
+from hilrunner.setup.contract import wiring
 from hilrunner.setup.host_can import FrameTraffic
 from hilrunner.setup.profile import LoadedProfile
 
@@ -47,13 +46,7 @@ def profile_traffic(loaded: LoadedProfile, period_ns: int) -> list[FrameTraffic]
     Raises:
         DbcError: the DBC or the mapping is refused.
     """
-    commands, measurements = signal_tables(loaded)
-    return table_traffic(commands, measurements, period_ns, loaded.profile.can.fd, command_cycles_ns(loaded))
-
-
-def command_cycles_ns(loaded: LoadedProfile) -> list[int]:
-    """How often the DBC says that each command message comes; 0 where it does not say."""
-    path = dbc_path(loaded)
-    database = load_database(path)
-    messages = [find_message(path.name, database, mapped.command.message) for mapped in axis_mappings(loaded)]
-    return [round(max(message.cycle_time or 0, 0) * NS_PER_MS) for message in messages]
+    understood = wiring(loaded)
+    cycles_ns = [round(max(facts.cycle_ms or 0, 0) * NS_PER_MS) for facts in understood.received_facts]
+    fd = loaded.profile.can.fd
+    return table_traffic(understood.commands, understood.measurements, period_ns, fd, cycles_ns)

@@ -13,23 +13,23 @@ from hilrunner.base import state_layout, status
 from hilrunner.plant.load import LoadTable
 from hilrunner.plant.step import AxisPlant
 from hilrunner.plant.wave import COMPONENT_AMPLITUDE, COMPONENT_ANGULAR_FREQUENCY
-from hilrunner.realtime import encode
 from hilrunner.setup.axes import AxisSet
-from hilrunner.setup.contract import axis_mappings, dbc_path, signal_tables
-from hilrunner.setup.database import find_message, load_database
+from hilrunner.setup.contract import axis_mappings, dbc_path, wiring
 from hilrunner.setup.fault_values import old_keys
 from hilrunner.setup.load_span import load_warnings
+from hilrunner.setup.measurement_table import SentSignal
 from hilrunner.setup.profile import LoadedProfile
 from hilrunner.setup.start_values import start_value_notes
+from hilrunner.setup.wire_text import wiring_notes
 
 _ROUNDING = 0.5  # of a raw step: what rounding alone puts beyond an end
 _STANDARD_DEVIATIONS = 4.0  # of a Gaussian sea, beyond which it goes once in four hours
 
 
 def bench_warnings(loaded: LoadedProfile, axes: AxisSet) -> list[str]:
-    """What a bench accepts and a person should know: loads that end short, signals that cannot carry their quantity."""
+    """What a bench accepts and a person should know: loads that end short, signals that cannot carry their quantity, odd mappings."""
     found = load_warnings(loaded, axes.plants) + wire_warnings(loaded, axes) + _unknown_references(loaded)
-    return found + old_keys(loaded.profile.fault, str(loaded.path))
+    return found + wiring_notes(loaded, wiring(loaded)) + old_keys(loaded.profile.fault, str(loaded.path))
 
 
 def _unknown_references(loaded: LoadedProfile) -> list[str]:
@@ -49,35 +49,31 @@ def _unknown_references(loaded: LoadedProfile) -> list[str]:
 
 def wire_warnings(loaded: LoadedProfile, axes: AxisSet) -> list[str]:
     """One sentence for every mapped measurement whose signal cannot carry its start or its span, and for odd start values."""
-    _, table = signal_tables(loaded)
-    path = dbc_path(loaded)
-    database = load_database(path)
-    entries = [(axis, entry) for axis, mapped in enumerate(axis_mappings(loaded)) for entry in mapped.measurements]
+    place = dbc_path(loaded).name
     starts = [_start_values(axes, axis) for axis in range(len(axes.plants))]
     spans = [_plausible_spans(plant, wave) for plant, wave in zip(axes.plants, axes.waves, strict=True)]
     found: list[str] = []
-    index = 0
-    for axis, entry in entries:
-        message = find_message(path.name, database, entry.message)
-        for mapped in entry.signals.values():
-            name = mapped if isinstance(mapped, str) else mapped.signal
-            signal = next(one for one in message.signals if one.name == name)
-            quantity = encode.QUANTITY_NAMES[table.quantity[index]]
-            wire = _Wire(f"{path.name}: {message.name}.{name}", signal, table.signals[index])
-            found += wire.judged(quantity, starts[axis].get(quantity), spans[axis].get(quantity))
-            index += 1
-        found += [f"{path.name}: {note}" for note in start_value_notes(message)]
+    messages = {}
+    for sent in wiring(loaded).sent:
+        messages[sent.message.name] = sent.message
+        wire = _Wire(f"{place}: {sent.name}", sent)
+        told = wire.judged(starts[sent.axis].get(sent.quantity), spans[sent.axis].get(sent.quantity))
+        found += [text for text in told if text not in found]
+    for message in messages.values():
+        found += [f"{place}: {note}" for note in start_value_notes(message)]
     return found
 
 
 class _Wire:
     """One mapped signal: its row, and the physical values of its ends."""
 
-    def __init__(self, place: str, signal, row: np.ndarray) -> None:
-        self.place, self.signal, self.row = place, signal, row
+    def __init__(self, place: str, sent: SentSignal) -> None:
+        self.place, self.sent, self.signal, self.row = place, sent, sent.signal, sent.row
 
     def number(self, value_si: float) -> float:
-        """What a value is on the wire, before rounding and clamping."""
+        """What a value is on the wire, before rounding and clamping; a curve goes on beyond its ends as a straight line."""
+        if self.sent.curve is not None:
+            value_si = _continued(self.sent.curve, value_si)
         return (value_si - float(self.row["offset"])) / float(self.row["scale"])
 
     def text(self, number: float) -> str:
@@ -87,16 +83,20 @@ class _Wire:
 
     def beyond(self, value_si: float) -> float | None:
         """The end of the range that would be sent instead of this value; None where it fits."""
+        curve = self.sent.curve
+        if curve is not None and not curve[0, 0] <= value_si <= curve[-1, 0]:
+            end = curve[0, 1] if value_si < curve[0, 0] else curve[-1, 1]
+            return (float(end) - float(self.row["offset"])) / float(self.row["scale"])
         number = self.number(value_si)
         low, high = float(self.row["number_min"]), float(self.row["number_max"])
         slack = _ROUNDING if not self.signal.is_float else 0.0
         return low if number < low - slack else high if number > high + slack else None
 
-    def judged(self, quantity: str, start_si: float | None, span_si: tuple[float, float] | None) -> list[str]:
+    def judged(self, start_si: float | None, span_si: tuple[float, float] | None) -> list[str]:
         """At most one sentence: the start is the graver of the two."""
         if float(self.row["modulus"]) > 0:
             return []  # it wraps, so every value fits
-        spoken = quantity.replace("_", " ")
+        spoken = self.sent.quantity.replace("_", " ")
         remedy = "remedy: correct the range in the database, or give the mapping `range = [lowest, highest]`"
         ends = f"{self.text(float(self.row['number_min']))} to {self.text(float(self.row['number_max']))}"
         if start_si is not None and (sent := self.beyond(start_si)) is not None:
@@ -111,6 +111,14 @@ class _Wire:
                     f"it would be sent as {self.text(sent)}; {remedy}"
                 ]
         return []
+
+
+def _continued(curve: np.ndarray, value: float) -> float:
+    """A curve's value, with its first and last piece going on beyond the ends."""
+    if curve[0, 0] <= value <= curve[-1, 0]:
+        return float(np.interp(value, curve[:, 0], curve[:, 1]))
+    (x0, y0), (x1, y1) = curve[:2] if value < curve[0, 0] else curve[-2:]
+    return float(y0 + (y1 - y0) * (value - x0) / (x1 - x0))
 
 
 def _start_values(axes: AxisSet, axis: int) -> dict[str, float]:

@@ -47,6 +47,7 @@ from hilrunner.record import crosscheck  # noqa: E402
 from hilrunner.setup import arm as arming  # noqa: E402
 from hilrunner.setup import axes as axis_setup  # noqa: E402
 from hilrunner.setup.profile import load_profile  # noqa: E402
+from tests.rules.wire_scenario import wire_forms  # noqa: E402
 
 PROFILE = """
 name = "every-function"
@@ -364,6 +365,7 @@ def main():
         equations(axes.plants, axes.initial_states)
         side_branches(axes.plants)
     single_functions(out)
+    wire_forms(out)
     np.savez(folder / ("interpreted.npz" if INTERPRETED else "compiled.npz"), **out)
     (folder / "entered.json").write_text(json.dumps(sorted(ENTERED)))
 

@@ -7,13 +7,37 @@ from hilrunner.base.compiled import entry
 from hilrunner.realtime import bits, decode, e2e, encode
 
 
-@entry
+def decode_with(table, can_id, length, data, tick, receiver):
+    """decode.decode_command with the arguments of one type, so that it is compiled once."""
+    return decode.decode_command(table, int(can_id), int(length), data, int(tick), receiver)
+
+
 def decode_one(table, can_id, length, data, last_counter, fresh):
-    """decode.decode_command as Python can call it."""
-    return decode.decode_command(table, can_id, length, data, last_counter, fresh)
+    """One frame through decode_command, for tests that keep counters and commands themselves; lines and parts begin anew."""
+    receiver = decode.new_receiver(table, len(fresh))._replace(last_counter=last_counter, fresh=fresh)
+    return decode_with(table, can_id, length, data, 0, receiver)
 
 
 @entry
+def _decode_many(table, can_ids, lengths, frames, receiver, codes, changed):
+    for index in range(can_ids.shape[0]):
+        valve = receiver.fresh[0]["valve_command"]
+        stamp = receiver.fresh[0]["timestamp_us"]
+        control = receiver.fresh[0]["control"]
+        counter = receiver.fresh[0]["counter"]
+        last = receiver.last_counter[0]
+        axis, code = decode.decode_command(table, can_ids[index], lengths[index], frames[index], index, receiver)
+        codes[index, 0] = axis
+        codes[index, 1] = code
+        if code != status.FRAME_VALID:
+            same = receiver.fresh[0]["valve_command"] == valve and receiver.fresh[0]["timestamp_us"] == stamp
+            same = same and receiver.fresh[0]["control"] == control and receiver.fresh[0]["counter"] == counter
+            if not same:
+                changed[0] += 1
+            if receiver.last_counter[0] != last and code != status.FRAME_LOST_COUNTER:
+                changed[1] += 1
+
+
 def decode_many(table, can_ids, lengths, frames, last_counter, fresh, codes, changed):
     """Decode frames one after the other.
 
@@ -21,22 +45,8 @@ def decode_many(table, can_ids, lengths, frames, last_counter, fresh, codes, cha
         codes: i8[frame, 2], axis and status of each. changed: i8[2], frames that were not valid but changed `fresh`
         of axis 0 (0) or its `last_counter` other than by resynchronising (1).
     """
-    for index in range(can_ids.shape[0]):
-        valve = fresh[0]["valve_command"]
-        stamp = fresh[0]["timestamp_us"]
-        control = fresh[0]["control"]
-        counter = fresh[0]["counter"]
-        last = last_counter[0]
-        axis, code = decode.decode_command(table, can_ids[index], lengths[index], frames[index], last_counter, fresh)
-        codes[index, 0] = axis
-        codes[index, 1] = code
-        if code != status.FRAME_VALID:
-            same = fresh[0]["valve_command"] == valve and fresh[0]["timestamp_us"] == stamp
-            same = same and fresh[0]["control"] == control and fresh[0]["counter"] == counter
-            if not same:
-                changed[0] += 1
-            if last_counter[0] != last and code != status.FRAME_LOST_COUNTER:
-                changed[1] += 1
+    receiver = decode.new_receiver(table, len(fresh))._replace(last_counter=last_counter, fresh=fresh)
+    _decode_many(table, can_ids, lengths, frames, receiver, codes, changed)
 
 
 @entry

@@ -56,7 +56,7 @@ def test_the_default_mapping_is_the_contract():
         "0x382",
         "0x482",
     ]
-    assert list(measurement.axis) == [0, 0, 0, 0, 1, 1, 1, 1]
+    assert list(measurement.axes) == [1, 1, 1, 1, 2, 2, 2, 2], "bit k: axis k"
     assert list(measurement.period_ticks) == [1, 1, 10, 10, 1, 1, 10, 10]
     assert np.all(measurement.protected == 1) and np.all(command.protected == 1) and not np.any(measurement.fd)
     assert measurement.message_count == 8
@@ -76,7 +76,8 @@ def test_tables_cannot_be_written():
 def test_an_own_dbc_by_mapping(tmp_path):
     command, measurement = load(tmp_path)
     assert command.can_id[0] == 0x300 and command.protected[0] == 1 and list(command.data_ids[0]) == list(range(1, 17))
-    row = command.signals[command.valve_signal[0]]
+    row = command.signals[0]
+    assert command.fields[0]["role"] == decode.INPUT_SETPOINT
     assert row["scale"] == 0.001 and (row["number_min"], row["number_max"]) == (-1000, 1000)
     assert measurement.can_id[0] == 0x18FEF100 | decode.CAN_EFF_FLAG and measurement.period_ticks[0] == 5
     quantities = encode.no_quantities(1)
@@ -198,10 +199,6 @@ def test_layouts_that_cannot_work(tmp_path):
     assert "scale of 0" in refused(tmp_path, with_valve(scale="0"))
     assert "holds nothing between -1 and 1" in refused(tmp_path, with_valve(minimum="150", maximum="200"))
     assert "holds no value" in refused(tmp_path, with_valve(minimum="4000", maximum="5000"))
-    assert "multiplexed" in refused(
-        tmp_path,
-        (COMMAND._replace(signals=[VALVE._replace(multiplex="m1 "), Sig("Sw", 8, 4, multiplex="M ")]), SENSORS),
-    )
     stamp = COMMAND._replace(signals=[*COMMAND.signals[:2], Sig("Time", 32, 32, scale="0.5", unit="us")])
     assert "whole microseconds" in refused(tmp_path, (stamp, SENSORS))
 
@@ -244,7 +241,7 @@ def test_mappings_come_from_toml():
     protection = { data_id_list = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15, 16] }
     """
     mapped = msgspec.toml.decode(text, type=signals.AxisMapping)
-    assert mapped.command.valve_command.unit == "%" and mapped.measurements[0].protection.profile == "P02"
+    assert mapped.command.valve_command.unit == "%" and mapped.measurements[0].protection.data_id_list[15] == 16
     with pytest.raises(msgspec.ValidationError, match="unknown field"):
         msgspec.toml.decode(text.replace("control =", "contrl ="), type=signals.AxisMapping)
 

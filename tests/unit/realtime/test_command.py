@@ -18,7 +18,8 @@ def _drive(rows, fresh, controls, values, applied, modes):
         if controls[tick] >= 0:
             fresh[0]["control"] = controls[tick]
             fresh[0]["valve_command"] = values[tick]
-            command.accept(rows, 0, fresh, tick)
+            fresh[0]["valid_tick"] = tick
+            command.accept(rows, 0, fresh)
         applied[tick] = command.apply_age(rows, 0, tick, 1_000_000)
         modes[tick] = rows[0]["mode"]
 
@@ -51,6 +52,7 @@ def test_before_the_first_command_the_valve_is_neutral():
         (status.CONTROL_HOLD, status.MODE_HOLD, 0.0),
         (status.CONTROL_ACTIVE, status.MODE_ACTIVE, 0.6),
         (status.CONTROL_RESET, status.MODE_HOLD, 0.0),
+        (status.CONTROL_TRIP, status.MODE_FAIL_SAFE, 0.0),
     ],
 )
 def test_only_active_moves_the_valve(control, mode, value):

@@ -123,7 +123,7 @@ def test_the_shadow_owns_everything_a_period_writes(parts):
     armed = arming.arm(loaded, axes, arming.local_ring(arming.ring_shape(loaded, seconds=0.2)), record=True)
     shadow = rehearsal.rehearsal_of(armed.bench)
     shared = {name for name in armed.bench._fields if getattr(shadow, name) is getattr(armed.bench, name)}
-    scratch = {"fresh", "inbox", "outbox", "frame_axis", "frame_status", "frame_period", "phase_ns", "rusage", "schedstat_text",
+    scratch = {"fresh", "field_value", "inbox", "outbox", "frame_axis", "frame_status", "frame_period", "phase_ns", "rusage", "schedstat_text",
                "usage_before", "usage_after", "clock"}  # fmt: skip
     constant = {"config", "plant", "command_table", "measurement_table", "wave", "stimulus"}
     assert shared == scratch | constant
