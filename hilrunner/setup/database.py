@@ -19,7 +19,7 @@ LONGEST_TEXT = 1 << 18  # of a comment, or of what stands between two texts
 FORMATS = {".dbc": "dbc", ".kcd": "kcd", ".sym": "sym", ".arxml": "arxml", ".cdd": "cdd"}
 # not the bare words of the section NS_
 _ATTRIBUTE_NAME = re.compile(r'(?m)^[ \t]*BA_[A-Z_]*[ \t]+(?:(?:BU_|BO_|SG_|EV_)[ \t]+)?"(\w+)"')
-_ATTRIBUTES_TRIED = 40
+_ATTRIBUTES_TRIED, _TRIED_CHARACTERS = 40, 500_000  # each try reads the whole file again
 _ATTRIBUTES = re.compile(
     r'(?m)^[ \t]*BA_(?:DEF_DEF_REL_|DEF_REL_|DEF_DEF_|DEF_|REL_)?[ \t]+(?=["\w])(?:[^";]|"(?:[^"\\]|\\.)*")*;'
 )
@@ -105,8 +105,8 @@ def _without_attributes(text: str, kind: str, error: Exception, notes: list[str]
     """
     if kind != "dbc":
         return None
-    names = dict.fromkeys(_ATTRIBUTE_NAME.findall(text))
-    for name in list(names)[:_ATTRIBUTES_TRIED] + [None]:
+    names = list(dict.fromkeys(_ATTRIBUTE_NAME.findall(text)))[:_ATTRIBUTES_TRIED]
+    for name in [*(names if len(text) <= _TRIED_CHARACTERS else []), None]:
         kept = _ATTRIBUTES.sub(lambda one, name=name: "" if name in (None, _name_in(one[0])) else one[0], text)
         if kept == text:
             continue
