@@ -19,12 +19,14 @@ from hilrunner.commands.again import load_again, stimulus_named
 from hilrunner.commands.run_summary import finite, summarise_run
 from hilrunner.commands.run_terminal import LiveLine, print_start, print_summary
 from hilrunner.commands.run_verdict import exit_code_of, verdict_of_run
+from hilrunner.commands.run_waiting import UnknownIds
 from hilrunner.commands.sign import renew_signature
 from hilrunner.commands.streams import is_terminal, spare_the_work
 from hilrunner.commands.targets import claim_free_log, claim_log
 from hilrunner.setup import host
 from hilrunner.setup.axes import check_duration, engine_named
 from hilrunner.setup.bus_settings import configured, with_words
+from hilrunner.setup.database import load_database
 from hilrunner.setup.profile import LoadedProfile, checked
 from hilrunner.setup.session import RunOptions, Session
 
@@ -87,10 +89,13 @@ def _watched(session: Session, args: argparse.Namespace, key) -> int:
         if not args.json:
             print_start(session)
     live = LiveLine(session, enabled=is_terminal(sys.stderr) and not args.json)
+    unknown = UnknownIds(session.armed.bench, load_database(session.armed.dbc_path))
     while session.running(_LIVE_INTERVAL_S):
-        live.tell(session.news())
+        unknown.update()
+        live.tell([*session.news(), *unknown.news()])
         live.update()
-    live.tell(session.news())
+    unknown.update()
+    live.tell([*session.news(), *unknown.news()])
     live.close()
     # the run has ended: whoever wants to end it now gets its log and verdict all the same
     _set_signals(dict.fromkeys((signal.SIGINT, signal.SIGTERM), lambda *_: None))
@@ -103,6 +108,7 @@ def _watched(session: Session, args: argparse.Namespace, key) -> int:
         "verdict": finite(verdict),
         "broken_limits": verdict["causes"],
         "signed": signed,
+        "unknown_ids": unknown.summary(),
     }
     with spare_the_work():
         if args.json:

@@ -6,6 +6,8 @@ from hilrunner.base import histogram_scale, records, state_layout, status
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
 from hilrunner.commands.plain_streams import beneath
 from hilrunner.commands.run_summary import worst_us
+from hilrunner.commands.run_waiting import waits_for
+from hilrunner.setup.contract import wiring
 from hilrunner.setup.session import Session
 from hilrunner.setup.wire_span import bench_warnings
 
@@ -43,12 +45,14 @@ def print_start(session: Session) -> None:
 
 
 class LiveLine:
-    """One line on a terminal, rewritten in place: tick, u, x, p1, p2, lateness p99, misses."""
+    """One line on a terminal, rewritten in place: seconds, u, x, p1, p2, lateness p99, misses, and what the bench waits for."""
 
     def __init__(self, session: Session, enabled: bool) -> None:
         self.session = session
         self.enabled = enabled
         self._shown = False
+        self._period_s = session.loaded.profile.bench.period_us * 1e-6
+        self._messages = [facts.name for facts in wiring(session.loaded).received_facts] if enabled else []
 
     def update(self) -> None:
         """Rewrite the line from the loop's own arrays; a value may be one tick old."""
@@ -58,12 +62,14 @@ class LiveLine:
         state = bench.state[0]
         late = histogram_scale.quantile_ns(bench.ring.histogram[_WAKE], bench.ring.extreme[_WAKE], 0.99)
         line = (
-            f"tick {int(bench.progress[0]['tick']):>9}  {status.MODE_NAMES[int(bench.commands[0]['mode'])]:<10} "
+            f"{int(bench.progress[0]['tick'] + 1) * self._period_s:9.1f} s  {status.MODE_NAMES[int(bench.commands[0]['mode'])]:<10} "
             f"u {float(bench.commands[0]['applied']):+.3f}  x {state[state_layout.ROD_POSITION] / M_PER_MM:9.3f} mm  "
             f"p1 {state[state_layout.CHAMBER_1_PRESSURE] / PA_PER_MPA:7.3f}  "
             f"p2 {state[state_layout.CHAMBER_2_PRESSURE] / PA_PER_MPA:7.3f} MPa  "
             f"late p99 {late / 1000:.0f} us  misses {int(bench.progress[0]['miss_count'])}"
         )
+        if self.session.bus is not None and (waited := waits_for(bench, self._messages)):
+            line += f"  {waited}"
         terminal = beneath(sys.stderr)
         terminal.write("\r\x1b[2K" + line)
         terminal.flush()
@@ -116,6 +122,9 @@ def print_summary(summary: dict) -> None:
     for name, counts in summary["frames"].items():
         if counts:
             print(f"    {name}: " + ", ".join(f"{count} {text}" for text, count in counts.items()))
+    for one in summary["unknown_ids"][:8]:
+        hint = f": {one['hint']}" if one["hint"] else ""
+        print(f"    {one['id']} arrived {one['count']} times, {one['rate_hz']:g} Hz, and is mapped to nothing{hint}")
     if summary["clamped"]:
         told = ", ".join(f"{name} {count} times" for name, count in summary["clamped"].items())
         print(f"    sent as the end of the signal's range, because the value lies outside: {told}")
