@@ -19,7 +19,7 @@ def verdict_of_run(result: RunResult) -> dict:
     if told is not None:
         return told
     problem = ""
-    if result.armed.loaded.profile.limits:
+    if result.armed.loaded.profile.limits or result.armed.loaded.profile.requirement:
         problem = (
             "; ".join(part for part in result.recorder.get("error") or () if part) or "the recorder gave no verdict"
         )

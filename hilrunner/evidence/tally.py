@@ -4,6 +4,7 @@
 log that is read (evidence.plant_use, bus, check_use, verdict), so that a limit means the same with a log and without one.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,8 +22,9 @@ from hilrunner.evidence.latency import Latency, Samples, Timeline, distribution,
 from hilrunner.evidence.limit_measures import Measured
 from hilrunner.evidence.plant_use import AxisTally, reference_m
 from hilrunner.evidence.reader import Attachment, Run
+from hilrunner.evidence.requirement_use import judged_requirements
 from hilrunner.evidence.stalls import logged_stall_problem
-from hilrunner.evidence.verdict import MEMORY, Subject, judge
+from hilrunner.evidence.verdict import MEMORY, NOT_JUDGED, Judgement, Subject, judge
 from hilrunner.setup.limits import SETTLING_SPEED_MMPS
 
 _PLACE = Path("(no log)")
@@ -130,7 +132,8 @@ class Tally:
             self._metadata[name] = self._metadata.get(name, {}) | {key: str(value) for key, value in table.items()}
         run = self._run()
         facts = read_facts(run)
-        self.verdict = judge(self._subject(run, facts, None, MEMORY)).as_dict()
+        verdict = judge(self._subject(run, facts, None, MEMORY))
+        self.verdict = verdict.joined(_without_a_log(facts)).as_dict()
 
     def subject_of_log(self, run: Run, ran_ticks: int, exit_reason: str, source: str) -> Subject:
         """What is judged of a log whose records were taken here: `run` holds the rest of it.
@@ -139,7 +142,7 @@ class Tally:
             ran_ticks, exit_reason: as the runner knows them.
         """
         facts = replace(read_facts(run), exit_reason=exit_reason)
-        return self._subject(run, facts, ran_ticks, source)
+        return replace(self._subject(run, facts, ran_ticks, source), requirements=judged_requirements(run, facts))
 
     def _subject(self, run: Run, facts: RunFacts, ran_ticks: int | None, source: str) -> Subject:
         counts = self._counts
@@ -204,3 +207,12 @@ class Tally:
             schemas={},
             missing_fields={},
         )
+
+
+def _without_a_log(facts: RunFacts) -> list[Judgement]:
+    """The requirements of the profile: their formulas look back and forth in time, and nothing is kept to look at."""
+    asked = facts.profile.requirement if facts.profile else ()
+    detail = "a run with --no-log keeps no signals that its formula could be judged by"
+    return [
+        Judgement(f"requirement {one.id}", one.text or one.formula, 0.0, math.nan, NOT_JUDGED, detail) for one in asked
+    ]

@@ -169,7 +169,8 @@ class Session:
 
     def _is_recorded(self) -> bool:
         """Whether every tick is wanted by a log, or by limits that are judged without one."""
-        return self.options.log_path is not None or bool(self.loaded.profile.limits)
+        profile = self.loaded.profile
+        return self.options.log_path is not None or bool(profile.limits or profile.requirement)
 
     def _drain_stale_frames(self) -> None:
         """What arrived while all of this was made ready belongs to no tick; it tells whether another bench is there already."""

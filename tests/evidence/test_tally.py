@@ -80,6 +80,25 @@ def test_a_log_is_judged_the_same_without_holding_its_records(tmp_path, edit):
     assert [repr(one) for one in of_run.judgements] == [repr(one) for one in of_report.judgements]
 
 
+REQUIREMENT = (
+    '\n[[requirement]]\nid = "R1"\nformula = "always chamber_1_pressure < 1 MPa"\n'
+)
+
+
+def test_a_requirement_is_judged_by_the_runner_too(tmp_path):
+    """By its log as a report does; without a log it cannot be judged, and does not pass."""
+    text = profile("pressure_mpa_max = 30.0") + REQUIREMENT
+    path = synthetic_run.write_run(tmp_path / "run.mcap", 200, profile_text=text)
+    knows = RunnerKnows(200, "duration reached")
+    of_report, of_run = build_report(path, knows=knows).verdict, judge_log(path, knows)
+    assert of_report.exit_code == of_run.exit_code == 1
+    assert "requirement R1" in {one.key for one in of_run.failed}
+    tables = read_run(path).metadata
+    tally = Tally(["lift"], tables, [("profile.toml", "application/toml", text.encode())])
+    tally.close(tables)
+    assert any(cause.startswith("requirement R1: not judged") for cause in tally.verdict["causes"])
+
+
 def test_a_run_too_long_for_its_samples_is_judged_by_the_histogram(both, monkeypatch):
     report, _ = both
     monkeypatch.setattr(latency, "EXACT_SAMPLES_MAX", 1000)
