@@ -80,9 +80,7 @@ def test_a_log_is_judged_the_same_without_holding_its_records(tmp_path, edit):
     assert [repr(one) for one in of_run.judgements] == [repr(one) for one in of_report.judgements]
 
 
-REQUIREMENT = (
-    '\n[[requirement]]\nid = "R1"\nformula = "always chamber_1_pressure < 1 MPa"\n'
-)
+REQUIREMENT = '\n[[requirement]]\nid = "R1"\nformula = "always chamber_1_pressure < 1 MPa"\n'
 
 
 def test_a_requirement_is_judged_by_the_runner_too(tmp_path):
