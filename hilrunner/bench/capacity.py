@@ -70,13 +70,13 @@ def most_axes(place: Place, profile: str, engine: int, slice_s: float, period_us
 def shortest_period(place: Place, profile: str, engine: int, slice_s: float) -> Table:
     """Misses at shorter and shorter periods, beside the wake-ups of cyclictest that would have been misses too."""
     rows, held, host_held = [], None, None
-    rival = cyclictest.program() is not None
+    reason = cyclictest.left_out(place.cpu, place.other_cpu, place.priority)
     for period_us in PERIODS_US:
         say(f"period {period_us} us")
         with TickBench(place, profile, period_us=period_us, engine=engine) as bench:
             bench.run(min(0.2, slice_s))
             taken = bench.run(slice_s)
-            host = _host_misses(place, bench.period_ns, slice_s, taken) if rival else None
+            host = _host_misses(place, bench.period_ns, slice_s, taken) if not reason else None
         execution = percentiles(*taken.of("execution"))
         lost = taken.misses + taken.skipped
         rows.append((period_us, execution["p50"] / NS_PER_US, execution["p999"] / NS_PER_US, taken.ticks, lost, host))
@@ -85,7 +85,9 @@ def shortest_period(place: Place, profile: str, engine: int, slice_s: float) -> 
         if host is not None and lost <= host + _noise(host):
             host_held = period_us
     notes = [f"shortest period that held without a miss: {f'{held} us' if held else 'none, see the last column'}"]
-    if rival:
+    if reason:
+        notes.append(reason)
+    else:
         words = f"{host_held} us" if host_held else "none"
         notes.append(f"shortest period with no more misses than the host alone causes: {words}")
     title = f"Shortest period, one axis, {slice_s:g} s each"

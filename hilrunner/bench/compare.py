@@ -39,8 +39,8 @@ def compare(bench: TickBench, rounds: int, slice_s: float, spin_ns: int = 0) -> 
         SPIN: lambda: bench.run(slice_s, spin_ns=spin_ns),
     }
     notes = []
-    if cyclictest.program() is None:
-        notes.append("cyclictest is not installed (apt install rt-tests): no ratio")
+    if reason := cyclictest.left_out(place.cpu, place.other_cpu, place.priority):
+        notes.append(reason)
     else:
         slices["cyclictest"] = lambda: cyclictest.run_slice(
             place.cpu, place.other_cpu, place.priority, period_ns, slice_s

@@ -6,11 +6,14 @@ skipped after a stall; `corrected` adds them by the rule our loop uses, so that 
 
 import shutil
 import subprocess
+from functools import cache
 
 import numpy as np
 
 from hilrunner.base import histogram_scale
-from hilrunner.base.units import NS_PER_S, NS_PER_US
+from hilrunner.base.units import NS_PER_MS, NS_PER_S, NS_PER_US
+
+_TRIAL_LIMIT_S = 30.0
 
 
 def program() -> str | None:
@@ -22,6 +25,25 @@ def command(cpu: int, other_cpu: int, priority: int, period_ns: int, count: int)
     """The command line of one slice; its printing thread stays off the measured core."""
     words = [program() or "cyclictest", "-N", "-v", "-m", "-t1", f"-a{cpu}", f"--mainaffinity={other_cpu}"]
     return [*words, f"-p{priority}", f"-i{period_ns // NS_PER_US}", f"-l{count}"]
+
+
+@cache
+def left_out(cpu: int, other_cpu: int, priority: int) -> str:
+    """Why no figure of cyclictest can be had here, as a note for the table; empty if it can. Tried with one wake-up.
+
+    A machine may have it and not grant it what it asks for: a container without CAP_SYS_NICE, a control group without real time.
+    """
+    if program() is None:
+        return "cyclictest is not installed (apt install rt-tests): no ratio"
+    words = command(cpu, other_cpu, priority, NS_PER_MS, 1)
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, timeout=_TRIAL_LIMIT_S)
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"cyclictest cannot be run here ({error}): no ratio"
+    if done.returncode == 0:
+        return ""
+    said = (done.stderr.strip() or done.stdout.strip() or f"it ended with {done.returncode}").splitlines()
+    return f"cyclictest was refused what it needs ({said[0]}): no ratio"
 
 
 def parse(text: str) -> np.ndarray:

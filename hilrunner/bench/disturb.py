@@ -69,12 +69,12 @@ def disturb_table(bench: TickBench, rounds: int, slice_s: float) -> Table:
     """Tick and cyclictest in turns, quiet, under each disturbance, and under all."""
     place, period_ns = bench.place, bench.period_ns
     loads = {"quiet": (), **{name: (name,) for name in DISTURBANCES}, "all three": tuple(DISTURBANCES)}
-    rival = cyclictest.program() is not None
+    reason = cyclictest.left_out(place.cpu, place.other_cpu, place.priority)
     rows, values = [], {}
     for name, load in loads.items():
         say(f"disturbance: {name}")
         slices = {"tick": lambda: bench.run(slice_s).of("wake_lateness")}
-        if rival:
+        if not reason:
             slices["cyclictest"] = lambda: cyclictest.run_slice(
                 place.cpu, place.other_cpu, place.priority, period_ns, slice_s
             )
@@ -83,11 +83,11 @@ def disturb_table(bench: TickBench, rounds: int, slice_s: float) -> Table:
         quantiles = {who: [percentiles(*one) for one in rounds_of] for who, rounds_of in taken.items()}
         values[name] = quantiles
         rows.append((f"{name}: tick", *pooled_us(taken["tick"])))
-        if rival:
+        if not reason:
             rows.append((f"{name}: cyclictest", *pooled_us(taken["cyclictest"])))
             rows.append((f"{name}: ratio, median of rounds", *(_ratio(quantiles, one) for one in SHOWN)))
     title = f"Wake-up lateness beside disturbances in this process, {rounds} rounds of {slice_s:g} s in turns"
-    notes = [] if rival else ["cyclictest is not installed (apt install rt-tests): no ratio"]
+    notes = [reason] if reason else []
     return Table("disturb", title, ("", *HEADINGS), rows, notes, {"rounds": values})
 
 

@@ -1,12 +1,13 @@
 """The arithmetic of the bench: turns, ratios, cyclictest's output, bisection, tables."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from hilrunner.base import histogram_scale
-from hilrunner.bench import capacity, compare, cyclictest, results, turns
+from hilrunner.bench import capacity, compare, cyclictest, disturb, results, tick, turns
 from hilrunner.bench.peer import socket_pair
 from hilrunner.bench.tick import Slice
 from hilrunner.realtime.histogram import record_corrected
@@ -139,3 +140,63 @@ def test_socketpair_holds_a_burst_of_a_thousand_frames():
         while taken < 1000 and ours.recv(128):
             taken += 1
     assert taken == 1000
+
+
+class QuietBench:
+    """A bench whose every slice is the same ten ticks."""
+
+    place, period_ns = tick.Place(cpu=1, other_cpu=0, priority=80), 1_000_000
+
+    def __init__(self, *_, **__) -> None:
+        row, extreme = histogram_scale.from_values(np.full(10, 5_000))
+        count = len(tick.HISTOGRAM_NAMES)
+        facts = dict.fromkeys(("misses", "skipped", "dropped", "frames_received", "frames_sent", "peer_sent"), 0)
+        rows = {"histogram": np.tile(row, (count, 1)), "extreme": np.tile(extreme, (count, 1))}
+        self.slice = Slice(**rows, ticks=10, **facts, processor_ns=10_000, state=np.zeros((1, 10)))
+
+        self.armed = SimpleNamespace(bench=SimpleNamespace(state=self.slice.state))
+
+    def run(self, *_, **__):
+        return self.slice
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        return None
+
+
+@pytest.fixture
+def refused(monkeypatch, tmp_path):
+    """A cyclictest that is there and gets no real time, as in a container without CAP_SYS_NICE."""
+    program = tmp_path / "cyclictest"
+    program.write_text("#!/bin/sh\necho 'Unable to change scheduling policy!' >&2\nexit 1\n")
+    program.chmod(0o700)
+    monkeypatch.setattr(cyclictest, "program", lambda: str(program))
+    monkeypatch.setattr(capacity, "TickBench", QuietBench)
+    monkeypatch.setattr(capacity, "PERIODS_US", (1000,))
+    monkeypatch.setattr(disturb, "DISTURBANCES", {})
+    cyclictest.left_out.cache_clear()
+    yield
+    cyclictest.left_out.cache_clear()
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        lambda: compare.compare(QuietBench(), 1, 0.01)[0],
+        lambda: capacity.shortest_period(QuietBench.place, "amc-lift", 0, 0.01),
+        lambda: disturb.disturb_table(QuietBench(), 1, 0.01),
+    ],
+)
+def test_a_rival_that_is_refused_real_time_is_left_out_and_told(refused, table):
+    made = table()
+    assert any("Unable to change scheduling policy!" in note for note in made.notes)
+    assert not any("cyclictest" in str(row[0]) for row in made.rows) and made.rows
+
+
+def test_a_rival_that_is_not_there_is_told(monkeypatch):
+    cyclictest.left_out.cache_clear()
+    monkeypatch.setattr(cyclictest, "program", lambda: None)
+    assert "apt install rt-tests" in cyclictest.left_out(1, 0, 80)
+    cyclictest.left_out.cache_clear()
