@@ -22,7 +22,7 @@ _TRACEBACK = "Traceback (most recent call last)"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one command did. `code` is negative for a signal, None where it was ended after HANG_S."""
+    """What one command did. `code` is negative for a signal, None where it hung (HANG_S)."""
 
     code: int | None
     out: str
@@ -58,7 +58,7 @@ def call(words: list[str], hang_s: float = HANG_S) -> Outcome:
         child = os.fork()
         if child == 0:
             _be_the_command(words, out.fileno(), err.fileno())
-        code, memory_bytes = _wait(child, begin_s + hang_s)
+        code, memory_bytes = _wait(child, hang_s)
         return Outcome(code, _text(out), _text(err), time.monotonic() - begin_s, memory_bytes)
 
 
@@ -87,18 +87,28 @@ def _be_the_command(words: list[str], out: int, err: int) -> None:
         os._exit(code)
 
 
-def _wait(child: int, end_s: float) -> tuple[int | None, int]:
-    pause_s = 0.0005
+def _wait(child: int, hang_s: float) -> tuple[int | None, int]:
+    """A hang is that much processor time, or as long without any: on a busy machine a second of work can take a minute."""
+    pause_s, used_s, moved_s = 0.0005, 0.0, time.monotonic()
     while True:
         pid, status, used = os.wait4(child, os.WNOHANG)
         if pid:
             return os.waitstatus_to_exitcode(status), used.ru_maxrss * 1024
-        if time.monotonic() > end_s:
+        now_s, processor_s = time.monotonic(), _processor_s(child)
+        if processor_s > used_s:
+            used_s, moved_s = processor_s, now_s
+        if used_s > hang_s or now_s - moved_s > hang_s:
             os.killpg(child, signal.SIGKILL)
             _, _, used = os.wait4(child, 0)
             return None, used.ru_maxrss * 1024
         time.sleep(pause_s)
         pause_s = min(pause_s * 1.5, 0.02)
+
+
+def _processor_s(pid: int) -> float:
+    """User and system time of a process so far; its clock ticks every 10 ms."""
+    words = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def _address_bytes() -> int:

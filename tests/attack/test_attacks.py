@@ -1,5 +1,8 @@
 """A few cases of every campaign that needs no process of its own; `make test-long` tries them by the thousand."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from tests.attack.campaign import try_cases
@@ -31,3 +34,19 @@ def test_make_test_long_tries_every_campaign():
     from tools.campaigns import CAMPAIGNS
 
     assert {words[2] for words in CAMPAIGNS.values() if words[1] == "tools/attack"} == set(campaigns())
+
+
+def test_the_fault_table_names_campaigns_and_tests_that_exist():
+    root = Path(__file__).resolve().parents[2]
+    rows = [line for line in (root / "docs/reliability.md").read_text().splitlines() if line.startswith("| ")]
+    table = [row.split(" | ") for row in rows if "`tools/attack" in row or "`tests/" in row]
+    assert len(table) >= 20
+    known = campaigns()
+    named = set()
+    for fault, tried_by, *_ in table:
+        found = re.findall(r"`(tools/attack (\w+)|tests/[\w/]+\.py)`", tried_by)
+        assert found, fault
+        for whole, campaign in found:
+            assert campaign in known if campaign else (root / whole).is_file(), f"{fault}: {whole}"
+            named.add(campaign)
+    assert named >= set(known), "a campaign that no row names"
