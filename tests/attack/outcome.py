@@ -16,6 +16,7 @@ from pathlib import Path
 
 HANG_S = 60.0
 MEMORY_BYTES_MAX = 1_000_000_000
+FRESH_BYTES = 150_000_000  # of a process that has loaded NumPy, Numba and the compiled code
 _ADDRESS_SPARE_BYTES = 3 << 30  # beyond what the parent has: an allocation without end fails before the host suffers
 _TRACEBACK = "Traceback (most recent call last)"
 
@@ -54,11 +55,13 @@ def call(words: list[str], hang_s: float = HANG_S) -> Outcome:
     with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as err:
         sys.stdout.flush()
         sys.stderr.flush()
-        begin_s = time.monotonic()
+        begin_s, own_bytes = time.monotonic(), _pages("resident")
         child = os.fork()
         if child == 0:
             _be_the_command(words, out.fileno(), err.fileno())
         code, memory_bytes = _wait(child, hang_s)
+        # a child begins with the parent's pages, which may have compiled much; a process of its own begins with FRESH_BYTES
+        memory_bytes = max(memory_bytes - own_bytes, 0) + FRESH_BYTES
         return Outcome(code, _text(out), _text(err), time.monotonic() - begin_s, memory_bytes)
 
 
@@ -70,7 +73,7 @@ def _be_the_command(words: list[str], out: int, err: int) -> None:
         os.dup2(err, 2)
         sys.stdout = os.fdopen(1, "w", encoding="utf-8", closefd=False)
         sys.stderr = os.fdopen(2, "w", encoding="utf-8", closefd=False)
-        spare = _address_bytes() + _ADDRESS_SPARE_BYTES
+        spare = _pages("size") + _ADDRESS_SPARE_BYTES
         resource.setrlimit(resource.RLIMIT_AS, (spare, spare))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
         from hilrunner import cli
@@ -111,8 +114,10 @@ def _processor_s(pid: int) -> float:
     return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def _address_bytes() -> int:
-    return int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+def _pages(kind: str) -> int:
+    """Bytes of address space (`size`) or of memory (`resident`) of this process."""
+    words = Path("/proc/self/statm").read_text().split()
+    return int(words[("size", "resident").index(kind)]) * resource.getpagesize()
 
 
 def _text(file) -> str:

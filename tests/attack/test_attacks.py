@@ -9,7 +9,7 @@ from tests.attack.campaign import try_cases
 from tests.attack.command import campaigns
 from tests.attack.outcome import Outcome
 
-SMALL = {"cut": 12, "flip": 24, "logs": 48, "databases": 16}
+SMALL = {"cut": 12, "flip": 24, "logs": 32, "databases": 16}
 
 
 @pytest.mark.parametrize("name", sorted(SMALL))
