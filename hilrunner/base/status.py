@@ -54,6 +54,7 @@ FLAG_FAIL_SAFE = 1 << 3
 FLAG_SOLVER_LIMIT = 1 << 4  # the line solve stopped at its iteration limit
 FLAG_NOT_FINITE = 1 << 5  # the state left the finite numbers; the run stops
 FLAG_FAULT_ACTIVE = 1 << 6  # an injected fault acts on this tick
+FLAG_EXACT_STEP = 1 << 7  # the surrogate handed this tick over to the exact engine (plant.handover)
 FLAG_NAMES = (
     "outside training range",
     "end stop",
@@ -62,7 +63,15 @@ FLAG_NAMES = (
     "solver limit",
     "not finite",
     "fault active",
+    "exact step",
 )
+# the flags that also go on the bus: how a tick was computed is the bench's own affair, and no byte of the contract has room for more
+BUS_FLAGS = FLAG_EXACT_STEP - 1
+
+# Which plant a run had, written into its log (logs before that say nothing, which is 1). A replay takes the log's own, so that its
+# bits stay what they were. 1: surrogates hand no period over, pressures may fall below absolute vacuum; 2: plant.handover, and the
+# void of plant.mechanics
+PLANT_EQUATIONS = 2
 
 # phases of a period, in order; index into the phase histograms
 PHASE_RECEIVE = 0

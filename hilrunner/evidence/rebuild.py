@@ -37,7 +37,26 @@ def sealed_profile(run: Run) -> LoadedProfile:
         )
     text = held.get(PROFILE_ATTACHMENT, b"").decode("utf-8", "replace")
     files = {name: SealedFile(data, f"{run.path}: {name}") for name, data in held.items()}
-    return LoadedProfile(profile=profile, path=Path(f"{run.path}: profile"), text=text, sealed=files)
+    return LoadedProfile(
+        profile=profile,
+        path=Path(f"{run.path}: profile"),
+        text=text,
+        sealed=files,
+        plant_equations=_plant_equations(run),
+    )
+
+
+def _plant_equations(run: Run) -> int:
+    """Which plant the run had (status.PLANT_EQUATIONS); logs from before there was a choice do not say, and have the first."""
+    told = run.metadata.get("run", {}).get("plant_equations", "1")
+    if told not in map(str, range(1, status.PLANT_EQUATIONS + 1)):
+        raise LogError(
+            str(run.path),
+            f"its plant has equations '{told[:20]}', which this version does not know",
+            f"1 to {status.PLANT_EQUATIONS}",
+            "replay it with the version that made it",
+        )
+    return int(told)
 
 
 def engine_of(run: Run, override: str | None = None) -> int:

@@ -126,7 +126,7 @@ def _check_axes(run: Run, loaded: LoadedProfile) -> None:
 
 
 def _dae(run: Run, loaded: LoadedProfile, engine: int, options: ReplayOptions, progress: Progress) -> list[AxisDae]:
-    built, plants = build_axes(loaded, engine), reference_plants(loaded)
+    built, plants = build_axes(loaded, engine), reference_plants(loaded, engine)
     stimulus = known_stimulus(run)
     limits = tolerances(loaded.profile.crosscheck)
     span = options.duration_s

@@ -7,6 +7,8 @@ from hilrunner.plant.tanh import tanh_of_size
 
 _SATURATED = 20.0  # tanh(20) is 1 to the last bit
 _SERIES = 0.03  # below it four terms of the series are exact to rounding
+ABSOLUTE_VACUUM_PA = -101325.0  # gauge
+VOID_FLOOR_PA = 1.0  # absolute; below it an integrator's step has overshot, and the void is as thin as here
 
 
 @inlined
@@ -72,6 +74,26 @@ def softened_bulk_modulus(pressure_pa, bulk_modulus_pa, cavitation_pa, width_pa,
     if depth > _SATURATED:
         return bulk_modulus_pa
     return bulk_modulus_pa * (ratio + (1.0 - ratio) * 0.5 * (1.0 + smooth_sign(depth)))
+
+
+@inlined
+def bulk_modulus_of_void(pressure_pa, soft_pa, onset_pa, void_pa):
+    """Bulk modulus of softened oil with a void in it, below the pressure where the void begins; Pa.
+
+    The void is gas that comes out of the oil below the onset. Far below it takes the share `void_pa` / a of the oil's volume at an absolute
+    pressure a, Boyle's law for a constant amount; its compliance void_pa (1/a - 1/a_onset)^2 begins with the value and slope zero. So no
+    finite growth of a chamber reaches absolute vacuum, and the void must be filled again before the pressure rises: a function of
+    state, conserves oil.
+
+    Args:
+        pressure_pa: gauge, below `onset_pa`. soft_pa: bulk modulus of the oil itself there. onset_pa: gauge.
+        void_pa: volume share of the gas times its absolute pressure, > 0.
+    """
+    above_vacuum = max(pressure_pa - ABSOLUTE_VACUUM_PA, VOID_FLOOR_PA)
+    onset = onset_pa - ABSOLUTE_VACUUM_PA
+    thinned = onset / above_vacuum - 1.0
+    # the compliances of oil and void add
+    return soft_pa / (1.0 + soft_pa * void_pa / (onset * onset) * thinned * thinned)
 
 
 @inlined

@@ -12,7 +12,7 @@ import numpy as np
 from hilrunner.base import status
 from hilrunner.base.compiled import entry, hot
 from hilrunner.base.errors import StateError
-from hilrunner.plant.hydraulics import inverse_orifice_root
+from hilrunner.plant.hydraulics import ABSOLUTE_VACUUM_PA, inverse_orifice_root
 from hilrunner.plant.line import chamber_side_flow, solve_line, valve_conductances, valve_side_flow
 from hilrunner.plant.load import LoadTable, load_force_n
 from hilrunner.plant.rates_paper import paper_flows
@@ -25,7 +25,6 @@ FOUND = 0
 NO_HOLD = 1  # a counterbalance valve would open under the load alone
 NO_PRESSURE = 2  # a chamber would have to be below absolute vacuum
 NO_SPEED = 3  # the outlet cannot pass what the rod would displace at any speed
-_ABSOLUTE_VACUUM_PA = -101325.0
 
 
 @hot
@@ -124,7 +123,7 @@ def _steady_lift(prm, load_n, valve_command, state):
         state[2], state[3], state[4], state[5], state[8], state[9] = p_in, p_out, spool_in, spool_out, line_in, line_out
     else:
         state[2], state[3], state[4], state[5], state[8], state[9] = p_out, p_in, spool_out, spool_in, line_out, line_in
-    return FOUND if min(p_in, p_out) > _ABSOLUTE_VACUUM_PA else NO_PRESSURE
+    return FOUND if min(p_in, p_out) > ABSOLUTE_VACUUM_PA else NO_PRESSURE
 
 
 @hot
@@ -180,7 +179,7 @@ def _paper_state(prm, load_n, valve_command, state):
         state[5] = resting_spool_m(prm, opening_force(prm, state[2], state[3], 0.0, prm["setting_2_pa"]))
     state[8] = prm["supply_pressure_pa"]
     _, _, state[9] = paper_flows(prm, state[2], state[3], cbv_conductance(prm, state[5]), valve_command)
-    return FOUND if min(state[2], state[3]) > _ABSOLUTE_VACUUM_PA else NO_PRESSURE
+    return FOUND if min(state[2], state[3]) > ABSOLUTE_VACUUM_PA else NO_PRESSURE
 
 
 @entry

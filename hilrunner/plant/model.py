@@ -26,6 +26,8 @@ class AxisPlant:
         engine: status.ENGINE_*.
         fast: reference engine with spools without mass (fewer, larger steps).
         substep_count: integrator steps a period; 0: chosen from the stability limit when assembled with a period.
+        exact_substep_count: for engines surrogate and onnx: steps of the exact engine in the periods that the surrogate hands over
+            (plant.handover); 0: it hands none over.
         networks: for engines surrogate and onnx.
         position_range_m: where the rod is meant to move; None: the whole stroke. Stability is judged there.
     """
@@ -36,6 +38,7 @@ class AxisPlant:
     engine: int = status.ENGINE_REFERENCE
     fast: bool = False
     substep_count: int = 0
+    exact_substep_count: int = 0
     networks: Any = None
     position_range_m: tuple[float, float] | None = field(default=None)
 
@@ -53,6 +56,7 @@ class PlantModel(NamedTuple):
     engine: np.ndarray  # (axes,) int64 status.ENGINE_*
     fast: np.ndarray  # (axes,) bool: spools without mass in the reference engine
     substep_count: np.ndarray  # (axes,) int64
+    exact_substep_count: np.ndarray  # (axes,) int64; 0: no period is handed over to the exact engine
     load: np.ndarray  # (axes,) plant.load.LOAD
     network: NetworkBank
 
@@ -78,6 +82,7 @@ def assemble(axes: Sequence[AxisPlant], period_s: float = 1e-3) -> PlantModel:
         substep_count=np.array(
             [axis.substep_count or default_substep_count(axis, period_s) for axis in axes], np.int64
         ),
+        exact_substep_count=np.array([axis.exact_substep_count for axis in axes], np.int64),
         load=np.concatenate([axis.load.record() for axis in axes]),
         network=assemble_bank([axis.networks for axis in axes]),
     )

@@ -2,7 +2,7 @@
 
 from hilrunner.base.compiled import inlined
 from hilrunner.plant.line import chamber_side_flow, valve_side_flow
-from hilrunner.plant.mechanics import pressure_rates, rod_acceleration, stiffness_of_oil
+from hilrunner.plant.mechanics import above_vacuum, pressure_rate, pressure_rates, rod_acceleration
 from hilrunner.plant.spool import cbv_conductance, opening_force, spool_acceleration
 
 
@@ -28,7 +28,17 @@ def lift_lines_rates(context, y, lines):
         w2,
         spool_acceleration(prm, force_1, s1, w1),
         spool_acceleration(prm, force_2, s2, w2),
-        stiffness_of_oil(prm, line_a) / prm["line_volume_a_m3"] * (into_a - flow_1),
-        stiffness_of_oil(prm, line_b) / prm["line_volume_b_m3"] * (into_b - flow_2),
+        pressure_rate(prm, line_a, prm["line_volume_a_m3"], into_a - flow_1),
+        pressure_rate(prm, line_b, prm["line_volume_b_m3"], into_b - flow_2),
     )
     return derivative, lines
+
+
+@inlined
+def pressures_above_vacuum(context, y):
+    """The ten states after an integrator's step, no pressure below absolute vacuum."""
+    prm = context[0]
+    p1, p2, line_a, line_b = (
+        above_vacuum(prm, y[2]), above_vacuum(prm, y[3]), above_vacuum(prm, y[8]), above_vacuum(prm, y[9])
+    )  # fmt: skip
+    return y[0], y[1], p1, p2, y[4], y[5], y[6], y[7], line_a, line_b

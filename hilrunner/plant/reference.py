@@ -3,17 +3,18 @@
 from hilrunner.base import status
 from hilrunner.base.compiled import entry, hot
 from hilrunner.plant.line import ITERATION_LIMIT, valve_conductances
+from hilrunner.plant.mechanics import chambers_above_vacuum
 from hilrunner.plant.rates_lift import exact_lines_at, lift_rates, mass_free_lift_rates, start_lines
-from hilrunner.plant.rates_lines import lift_lines_rates
+from hilrunner.plant.rates_lines import lift_lines_rates, pressures_above_vacuum
 from hilrunner.plant.rates_paper import mass_free_paper_rates, paper_flows, paper_rates
 from hilrunner.plant.rk4 import make_rk4
 from hilrunner.plant.spool import cbv_conductance, mass_free_spool_speed, opening_force
 
-_lift = make_rk4(lift_rates, 8)
-_lift_mass_free = make_rk4(mass_free_lift_rates, 6)
-_lift_lines = make_rk4(lift_lines_rates, 10)
-_paper = make_rk4(paper_rates, 6)
-_paper_mass_free = make_rk4(mass_free_paper_rates, 5)
+_lift = make_rk4(lift_rates, 8, chambers_above_vacuum)
+_lift_mass_free = make_rk4(mass_free_lift_rates, 6, chambers_above_vacuum)
+_lift_lines = make_rk4(lift_lines_rates, 10, pressures_above_vacuum)
+_paper = make_rk4(paper_rates, 6, chambers_above_vacuum)
+_paper_mass_free = make_rk4(mass_free_paper_rates, 5, chambers_above_vacuum)
 
 
 @entry  # cached by itself: what calls it need not compile it again

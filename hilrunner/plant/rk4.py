@@ -3,7 +3,7 @@
 nodes 0, 1/2, 1/2, 1; each stage starts from the one before; weights 1/6, 1/3, 1/3, 1/6 (Kutta 1901).
 """
 
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import hot, inlined
 
 # |R(z)| <= 1 for RK4 on the negative real axis up to 2.785 and on the imaginary axis up to 2.828
 REAL_AXIS_LIMIT = 2.785293563405282
@@ -66,13 +66,19 @@ def _shifted_10(y, h, k):
 _SHIFTED = {4: _shifted_4, 5: _shifted_5, 6: _shifted_6, 8: _shifted_8, 10: _shifted_10}
 
 
-def make_rk4(rates, state_count: int):
+@inlined
+def _as_it_is(context, y):
+    return y
+
+
+def make_rk4(rates, state_count: int, settled=_as_it_is):
     """An integrator over `count` equal steps with everything else held.
 
     Args:
         rates: hot (context, y, lines) -> (dy/dt, lines), y a tuple of `state_count` floats; `lines` is carried from
             stage to stage (a solver's starting guess) and takes no part in the method.
         state_count: 4, 5, 6, 8 or 10.
+        settled: hot (context, y) -> y, what a finished step's states become: the bounds that a step of finite length may overshoot.
 
     Returns:
         hot (context, y, lines, step_s, count) -> (y, lines).
@@ -89,7 +95,7 @@ def make_rk4(rates, state_count: int):
                 at = y if stage == 0 else shifted(y, _NODE[stage] * step_s, k)
                 k, lines = rates(context, at, lines)
                 following = shifted(following, _WEIGHT[stage] * step_s, k)
-            y = following
+            y = settled(context, following)
         return y, lines
 
     return integrate

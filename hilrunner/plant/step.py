@@ -4,12 +4,12 @@ import math
 
 from hilrunner.base import status
 from hilrunner.base.compiled import entry, hot
+from hilrunner.plant.handover import advance_with_handover
 from hilrunner.plant.initial import initial_state
 from hilrunner.plant.load import load_force_n
 from hilrunner.plant.model import SCRATCH_SIZE, AxisPlant, PlantModel, assemble
 from hilrunner.plant.reference import advance_lift, advance_lift_lines, advance_paper
 from hilrunner.plant.stability import default_substep_count, stability_limit_s
-from hilrunner.plant.surrogate import advance_surrogate
 
 __all__ = [
     "SCRATCH_SIZE",
@@ -43,7 +43,7 @@ def advance(model, axis, valve_command, load_scale, period_s, state, scratch):
     """
     command = min(max(valve_command, -1.0), 1.0)
     if model.engine[axis] != status.ENGINE_REFERENCE:
-        flags = advance_surrogate(model, axis, command, load_scale, period_s, state, scratch)
+        flags = advance_with_handover(model, axis, command, load_scale, period_s, state, scratch)
     else:
         flags = advance_reference(model, axis, command, load_scale, period_s, state)
     return flags | state_flags(model.parameters[axis], state)

@@ -20,7 +20,7 @@ from hilrunner.base.compiled import entry, hot, inlined
 from hilrunner.plant import network
 from hilrunner.plant.hydraulics import inverse_orifice_root, orifice_root
 from hilrunner.plant.line import ITERATION_LIMIT, solve_return_line, solve_supply_line, valve_conductances
-from hilrunner.plant.mechanics import pressure_rates, rod_acceleration
+from hilrunner.plant.mechanics import chambers_above_vacuum, pressure_rates, rod_acceleration
 from hilrunner.plant.network import forward_at, outside_training
 from hilrunner.plant.rates_lift import make_lines, make_mass_free_rates, start_lines
 from hilrunner.plant.rates_paper import paper_flows
@@ -158,7 +158,7 @@ def _network_lines_at(context, pressure_1_pa, pressure_2_pa, spool_1_m, spool_2_
     return _lines_apart(context, pressure_1_pa, pressure_2_pa, spool_1_m, spool_2_m, lines)
 
 
-_lift = make_rk4(make_mass_free_rates(_network_lines_at), 6)
+_lift = make_rk4(make_mass_free_rates(_network_lines_at), 6, chambers_above_vacuum)
 
 
 @hot
@@ -253,9 +253,9 @@ def _article_rates(context, y, lines):
     return (v, rod_acceleration(prm, load, load_scale, x, v, p1, p2), work[Y_AT], work[Y_AT + 1]), lines
 
 
-_pinned = make_rk4(_pinned_rates, 4)
-_modulating = make_rk4(_modulating_rates, 5)
-_article = make_rk4(_article_rates, 4)
+_pinned = make_rk4(_pinned_rates, 4, chambers_above_vacuum)
+_modulating = make_rk4(_modulating_rates, 5, chambers_above_vacuum)
+_article = make_rk4(_article_rates, 4, chambers_above_vacuum)
 
 
 @hot

@@ -211,7 +211,7 @@ def measure(bench, tick):
         )
         row[encode.QUANTITY_VALVE_COMMAND] = bench.commands[axis]["applied"]
         row[encode.QUANTITY_BENCH_STATE] = bench.commands[axis]["mode"]
-        row[encode.QUANTITY_FLAGS] = bench.state_flags[axis]
+        row[encode.QUANTITY_FLAGS] = bench.state_flags[axis] & status.BUS_FLAGS
         row[encode.QUANTITY_TICK] = tick
         row[encode.QUANTITY_DEADLINE_MISSES] = bench.progress[0]["miss_count"]
         row[encode.QUANTITY_ECHOED_TIMESTAMP] = bench.commands[axis]["timestamp_us"]

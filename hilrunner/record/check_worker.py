@@ -221,7 +221,7 @@ class CheckWorker:
         return (
             f"cross-check {self._axis_names[axis]}: {name.replace('_', ' ')} {ERROR_KINDS[row // QUANTITY_COUNT]} is "
             f"{float(walk.failed_error[0]):+.4g} {unit} off the first-principle model at tick {tick}; "
-            f"allowed: {limit_row(self._settings)[row]:.4g} {unit}"
+            f"allowed: {float(walk.failed_error[1]):.4g} {unit}"
         )
 
 
@@ -254,6 +254,9 @@ def _axis_summary(walk) -> dict:
         figures[f"{prefix}{name}_error_{unit}_max"] = _finite(largest)
         figures[f"{prefix}{name}_error_{unit}_rms"] = _finite(math.sqrt(squares / count)) if count else 0.0
         figures[f"{prefix}{name}_error_max_tick"] = int(at)
+    for name_and_unit, spread in zip(crosscheck.QUANTITIES, walk.spread_max, strict=True):
+        name, unit = name_and_unit.rsplit("_", 1)
+        figures[f"neighbour_{name}_distance_{unit}_max"] = float(spread)
     failed = int(walk.number[crosscheck.WALK_FAILED_TICK])
     figures["checked_ticks"] = int(walk.accumulated[0, crosscheck.SUM_COUNT])
     figures["one_step_ticks"] = int(walk.accumulated[crosscheck.QUANTITY_COUNT, crosscheck.SUM_COUNT])

@@ -5,6 +5,13 @@ the surrogate's own last state (what this period added), and the first one's mea
 stays when the short transients of spools without mass have gone; oil trapped by a shut valve only keeps the error of the
 moment it was shut). Outside the loop, compiled, a batch of ticks at a time.
 
+What a trajectory may be off by before it is a fault depends on the plant: coming off an end stop at full speed, or in the limit cycle of a
+counterbalance valve, a difference far below every tolerance grows to the size of the motion within milliseconds, and two exact
+solvers end apart. So a third trajectory runs beside the shadow, by the same model: the neighbour, whose valve opens by NEIGHBOUR_SHARE
+less. How far it has come from the shadow is how far a difference of no account has grown, and the tolerances of the free run
+are widened by a multiple of it (of its largest value, forgotten within a second). On an ordinary run that is a small
+part of the tolerance. The one-step error starts from the surrogate's own state, where nothing has had time to grow, and is judged as it is.
+
 Assumptions: the records are in order; `valve_command` and `load_scale` held for the tick's period. Of skipped periods only
 the last inputs are logged: between the tick before and this one the load scale, and a command that was ramping to neutral,
 are taken as linear; a command from the bus acts from the first skipped period on, as in the loop. The commands of a
@@ -37,6 +44,12 @@ QUANTITY_COUNT = len(QUANTITIES)
 ERROR_KINDS = ("of the free run", "of one step", "sustained")
 ROW_COUNT = len(ERROR_KINDS) * QUANTITY_COUNT
 SUSTAINED_S = 1.0  # time constant of the sustained error's mean
+NEIGHBOUR_SHARE = 1e-5  # of the valve's opening
+SPREAD_S = 1.0  # time constant with which the neighbour's largest distance is forgotten
+# How many times its distance a free run is allowed beyond its tolerance: networks whose flows are right to 1e-4 are not blamed for what
+# the plant makes of it. A mean over a second does not grow like its worst moment.
+SPREADS_ALLOWED = 10.0
+SPREADS_ALLOWED_SUSTAINED = 1.0
 
 # columns of the accumulator, one row an error: the four of the shadow, the four of one step, the four sustained
 (SUM_MAX, SUM_MAX_TICK, SUM_SQUARES, SUM_COUNT) = range(4)
@@ -49,13 +62,16 @@ class Walk(NamedTuple):
     """What the check of one axis carries from batch to batch."""
 
     shadow: np.ndarray  # (10,) float64, base.state_layout: the free-running reference
+    neighbour: np.ndarray  # (10,) float64: the same with its valve NEIGHBOUR_SHARE less open
     previous: np.ndarray  # (10,) float64: the surrogate's last logged state
     one_step: np.ndarray  # (10,) float64, scratch
     held: np.ndarray  # (2,) float64: valve command and load scale of the last tick
     number: np.ndarray  # (5,) int64: WALK_*; failed tick and row -1 while none
     accumulated: np.ndarray  # (ROW_COUNT, 4) float64: SUM_*
     sustained: np.ndarray  # (4,) float64: exponential mean of the shadow's errors
-    failed_error: np.ndarray  # (1,) float64: size of the error that was out first
+    spread: np.ndarray  # (4,) float64: how far the neighbour has been from the shadow of late
+    spread_max: np.ndarray  # (4,) float64: the same over the whole run
+    failed_error: np.ndarray  # (2,) float64: the error that was out first, and what was allowed
 
 
 def new_walk(initial_state: np.ndarray, load_scale: float = 1.0) -> Walk:
@@ -67,12 +83,15 @@ def new_walk(initial_state: np.ndarray, load_scale: float = 1.0) -> Walk:
     return Walk(
         start.copy(),
         start.copy(),
+        start.copy(),
         np.zeros(state_layout.STATE_SIZE),
         np.array([0.0, load_scale]),
         number,
         np.zeros((ROW_COUNT, 4)),
         np.zeros(QUANTITY_COUNT),
-        np.zeros(1),
+        np.zeros(QUANTITY_COUNT),
+        np.zeros(QUANTITY_COUNT),
+        np.zeros(2),
     )
 
 
@@ -98,8 +117,13 @@ def _is_stimulus(stimulus, tick, valve_command):
 
 
 @hot
-def _advance_periods(model, axis, period_s, tick, count, held, valve_command, load_scale, ramping, stimulus, state):
-    """`count` periods, the last of them `tick`, that end with the inputs given; see the assumptions above."""
+def _advance_periods(
+    model, axis, period_s, tick, count, held, valve_command, load_scale, ramping, stimulus, opening, state
+):
+    """`count` periods, the last of them `tick`, that end with the inputs given; see the assumptions above.
+
+    `opening` is the factor on every valve command: 1, or the neighbour's.
+    """
     known = count > 1 and _is_stimulus(stimulus, tick - count, held[0]) and _is_stimulus(stimulus, tick, valve_command)
     for k in range(1, count + 1):
         share = k / count
@@ -109,7 +133,7 @@ def _advance_periods(model, axis, period_s, tick, count, held, valve_command, lo
             valve = stimulus[min(tick - count + k, stimulus.shape[0] - 1)]
         elif ramping or stimulus.shape[0] > 0:
             valve = held[0] + (valve_command - held[0]) * share
-        advance_reference(model, axis, min(max(valve, -1.0), 1.0), scale, period_s, state)
+        advance_reference(model, axis, opening * min(max(valve, -1.0), 1.0), scale, period_s, state)
 
 
 @hot
@@ -128,10 +152,12 @@ def _account(accumulated, row, tick, error):
 
 @hot
 def _restart(walk, surrogate):
-    """Both trajectories from the surrogate's state."""
+    """All trajectories from the surrogate's state."""
     for k in range(state_layout.STATE_SIZE):
         walk.shadow[k] = surrogate[k]
+        walk.neighbour[k] = surrogate[k]
     walk.sustained[:] = 0.0
+    walk.spread[:] = 0.0
     walk.number[WALK_RESTART_COUNT] += 1
 
 
@@ -153,24 +179,37 @@ def _store_errors(record, shadow, surrogate, one_step, with_one_step):
 
 
 @hot
-def _judge_one(walk, tick, row, error, limits):
-    """Account one error and compare it with its limit; True when it is out."""
+def _measure_spread(walk, passed_s):
+    """Move on how far the neighbour has been from the shadow of late."""
+    kept = math.exp(-passed_s / SPREAD_S)
+    for k in range(QUANTITY_COUNT):
+        distance = abs(walk.neighbour[k] - walk.shadow[k])
+        if math.isfinite(distance):  # a reference that is lost excuses nothing
+            walk.spread[k] = max(walk.spread[k] * kept, distance)
+            walk.spread_max[k] = max(walk.spread_max[k], walk.spread[k])
+
+
+@hot
+def _judge_one(walk, tick, row, error, allowed):
+    """Account one error and compare it with what is allowed; True when it is out."""
     size = _account(walk.accumulated, row, tick, error)
-    if not size > limits[row]:
+    if not size > allowed:
         return False
     if walk.number[WALK_FAILED_TICK] < 0:
         walk.number[WALK_FAILED_TICK] = tick
         walk.number[WALK_FAILED_ROW] = row
         walk.failed_error[0] = error
+        walk.failed_error[1] = allowed
     return True
 
 
 @hot
-def _judge(walk, tick, errors_of, surrogate, first_row, limits):
-    """Account four errors and compare them with their limits; True when one is out."""
+def _judge(walk, tick, errors_of, surrogate, first_row, limits, spreads):
+    """Account four errors and compare them with their limits, widened by `spreads` of the neighbour; True when one is out."""
     out = False
     for k in range(QUANTITY_COUNT):
-        out = _judge_one(walk, tick, first_row + k, surrogate[k] - errors_of[k], limits) or out
+        allowed = limits[first_row + k] + spreads * walk.spread[k]
+        out = _judge_one(walk, tick, first_row + k, surrogate[k] - errors_of[k], allowed) or out
     return out
 
 
@@ -183,7 +222,9 @@ def _judge_sustained(walk, tick, surrogate, passed_s, limits):
         error = surrogate[k] - walk.shadow[k]
         if math.isfinite(error):  # an error that is no number has failed already, and would stay in the mean for ever
             walk.sustained[k] += weight * (error - walk.sustained[k])
-        out = _judge_one(walk, tick, 2 * QUANTITY_COUNT + k, walk.sustained[k], limits) or out
+        row = 2 * QUANTITY_COUNT + k
+        allowed = limits[row] + SPREADS_ALLOWED_SUSTAINED * walk.spread[k]
+        out = _judge_one(walk, tick, row, walk.sustained[k], allowed) or out
     return out
 
 
@@ -226,9 +267,14 @@ def check_periods(model, axis, period_s, skipped, command, state, walk, limits, 
                 walk.held[0], walk.held[1] = valve, scale
             ramping = command[i]["mode"] == status.MODE_STALE_RAMP
             _advance_periods(
-                model, axis, period_s, tick, count, walk.held, valve, scale, ramping, stimulus, walk.shadow
+                model, axis, period_s, tick, count, walk.held, valve, scale, ramping, stimulus, 1.0, walk.shadow
             )
-            out = _judge(walk, tick, walk.shadow, surrogate, 0, limits)
+            _advance_periods(
+                model, axis, period_s, tick, count, walk.held, valve, scale, ramping, stimulus, 1.0 - NEIGHBOUR_SHARE,
+                walk.neighbour,
+            )  # fmt: skip
+            _measure_spread(walk, count * period_s)
+            out = _judge(walk, tick, walk.shadow, surrogate, 0, limits, SPREADS_ALLOWED)
             if valve != 0.0:  # else trapped oil would weigh one moment's error again and again
                 out = _judge_sustained(walk, tick, surrogate, count * period_s, limits) or out
             with_one_step = tick % one_step_every == 0
@@ -236,9 +282,10 @@ def check_periods(model, axis, period_s, skipped, command, state, walk, limits, 
                 for k in range(state_layout.STATE_SIZE):
                     walk.one_step[k] = walk.previous[k]
                 _advance_periods(
-                    model, axis, period_s, tick, count, walk.held, valve, scale, ramping, stimulus, walk.one_step
-                )
-                out = _judge(walk, tick, walk.one_step, surrogate, QUANTITY_COUNT, limits) or out
+                    model, axis, period_s, tick, count, walk.held, valve, scale, ramping, stimulus, 1.0,
+                    walk.one_step,
+                )  # fmt: skip
+                out = _judge(walk, tick, walk.one_step, surrogate, QUANTITY_COUNT, limits, 0.0) or out
             if out:
                 record["flags"] = FLAG_OUT_OF_TOLERANCE
                 out_count += 1

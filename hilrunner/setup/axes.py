@@ -22,6 +22,9 @@ TRUTH_STEP_S = 50e-6
 SUBSTEPS_MAX = (
     25_000  # RK4 steps a period: some 10 ms of processor time, and the truth's own step in the longest period
 )
+# the first status.PLANT_EQUATIONS with
+_EQUATIONS_WITH_VOID = 2
+_EQUATIONS_WITH_HANDOVER = 2
 
 
 def period_s(loaded: LoadedProfile) -> float:
@@ -77,9 +80,14 @@ def make_axis_plants(loaded: LoadedProfile, engine: int, understood: list | None
     return [_axis_plant(loaded, index, engine, understood) for index in range(len(loaded.profile.axis))]
 
 
-def reference_plants(loaded: LoadedProfile) -> list[AxisPlant]:
-    """The first-principle plants beside the surrogate's, in steps fine enough to judge it: cross-check and replay."""
+def reference_plants(loaded: LoadedProfile, engine: int = status.ENGINE_SURROGATE) -> list[AxisPlant]:
+    """The first-principle plants beside the run's, in steps fine enough to judge it: cross-check and replay.
+
+    A surrogate is judged by the whole model, even where the profile's own reference leaves out the mass of the spools.
+    """
     plants, period = make_axis_plants(loaded, status.ENGINE_REFERENCE), period_s(loaded)
+    if engine != status.ENGINE_REFERENCE and loaded.plant_equations >= _EQUATIONS_WITH_HANDOVER:
+        plants = [_with_spool_mass(plant) for plant in plants]
     judges = []
     for index, plant in enumerate(plants):
         count = truth_substep_count(plant, period)
@@ -123,7 +131,7 @@ def _axis_plant(loaded: LoadedProfile, index: int, engine: int, understood: list
     axis = loaded.profile.axis[index]
     place = f"{loaded.path}: axis[{index}]"
     try:
-        parameters = make_parameters(axis.preset, axis.parameters)
+        parameters = make_parameters(axis.preset, _constants(loaded, axis))
     except ProfileError as error:
         raise ProfileError(f"{place}.{error.place}", error.problem, error.limit, error.remedy) from error
     plant = AxisPlant(
@@ -137,8 +145,28 @@ def _axis_plant(loaded: LoadedProfile, index: int, engine: int, understood: list
         position_range_m=_position_range_m(axis),
     )
     if engine != status.ENGINE_REFERENCE:
-        plant = replace(plant, networks=_networks(loaded, axis, place, engine, parameters, understood))
+        networks = _networks(loaded, axis, place, engine, parameters, understood)
+        plant = replace(plant, networks=networks, exact_substep_count=_exact_substeps(loaded, axis, plant, place))
     return replace(plant, substep_count=_substeps(loaded, axis, plant, place))
+
+
+def _constants(loaded: LoadedProfile, axis: Axis) -> dict[str, float]:
+    """The profile's own constants, with none of what came after the equations of the log they were read from."""
+    return dict(axis.parameters) | ({"void_mpa": 0.0} if loaded.plant_equations < _EQUATIONS_WITH_VOID else {})
+
+
+def _exact_substeps(loaded: LoadedProfile, axis: Axis, plant: AxisPlant, place: str) -> int:
+    """RK4 steps of the periods a surrogate hands over: as fine as the reference that judges it; 0: it hands none over."""
+    if loaded.plant_equations < _EQUATIONS_WITH_HANDOVER:
+        return 0
+    exact = replace(plant, engine=status.ENGINE_REFERENCE, substep_count=axis.reference_substeps)
+    count = truth_substep_count(_with_spool_mass(exact), period_s(loaded))
+    return _runnable(count, period_s(loaded), place)
+
+
+def _with_spool_mass(plant: AxisPlant) -> AxisPlant:
+    """The whole model of a first-principle plant; the fast one's own count of steps does not hold for it."""
+    return replace(plant, fast=False, substep_count=0) if plant.fast else plant
 
 
 def _position_range_m(axis: Axis) -> tuple[float, float] | None:

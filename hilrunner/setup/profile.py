@@ -16,6 +16,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct, field
 
+from hilrunner.base import status
 from hilrunner.base.errors import ProfileError
 from hilrunner.requirements.requirement import Written as Requirement
 from hilrunner.setup import resources
@@ -346,6 +347,7 @@ class LoadedProfile(Struct, frozen=True):
     path: Path
     text: str
     sealed: Mapping[str, SealedFile] | None = None
+    plant_equations: int = status.PLANT_EQUATIONS  # a log's own, where the profile came out of one
 
     def changed(self, **keys: Any) -> "LoadedProfile":
         """The same profile with tables of it replaced (`bench=...`), its text left as it was written."""

@@ -29,6 +29,7 @@ def run_metadata(
         "hilrunner_version": hilrunner.__version__,
         "git_revision": git_revision(),
         "compiled_source_hash": compiled.source_hash(),
+        "plant_equations": loaded.plant_equations,
         "python_version": sys.version.split()[0],
         **{f"{name}_version": package_metadata.version(name) for name in _PACKAGES},
         "profile_name": profile.name,

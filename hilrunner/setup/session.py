@@ -331,7 +331,7 @@ class Session:
         stimulus = self.options.stimulus
         by_axis = None if stimulus is None else np.ascontiguousarray(stimulus.T, np.float64)
         return CheckConfig(
-            plants_fd=launch.plants_file(reference_plants(self.loaded), by_axis),
+            plants_fd=launch.plants_file(reference_plants(self.loaded, self.options.engine), by_axis),
             initial_states=self.axes.initial_states.tolist(),
             pressure_tolerance_pa=rules.pressure_tolerance_mpa * PA_PER_MPA,
             position_tolerance_m=rules.position_tolerance_mm * M_PER_MM,

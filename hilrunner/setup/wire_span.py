@@ -164,7 +164,7 @@ def _plausible_spans(plant: AxisPlant, wave: np.ndarray) -> dict[str, tuple[floa
         "load_force": _load_span_n(plant.load, *reach),
         "valve_command": (-1.0, 1.0),
         "bench_state": (0.0, float(len(status.MODE_NAMES) - 1)),
-        "flags": (0.0, float((1 << len(status.FLAG_NAMES)) - 1)),
+        "flags": (0.0, float(status.BUS_FLAGS)),
         "heave_position": (-heave_m, heave_m),
         "heave_velocity": (-heave_mps, heave_mps),
     }

@@ -6,13 +6,14 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 
-def copy_with(path, target, keep=None, edit=None, schema=None, **options) -> Path:
+def copy_with(path, target, keep=None, edit=None, schema=None, change_metadata=None, **options) -> Path:
     """Copy a log.
 
     Args:
         keep: called with a topic; False leaves it out.
         edit: called with (topic, log time, data bytes); returns the data to write.
         schema: called with the text of a schema, bytes; returns the text to write.
+        change_metadata: called with (name, table); returns the table to write.
         options: of mcap.writer.Writer.
     """
     with open(path, "rb") as source, open(target, "wb") as out:
@@ -22,7 +23,8 @@ def copy_with(path, target, keep=None, edit=None, schema=None, **options) -> Pat
         for one in reader.iter_attachments():
             writer.add_attachment(one.create_time, one.log_time, one.name, one.media_type, one.data)
         for one in reader.iter_metadata():
-            writer.add_metadata(one.name, one.metadata)
+            table = one.metadata if change_metadata is None else change_metadata(one.name, dict(one.metadata))
+            writer.add_metadata(one.name, table)
         ids = {}
         for described, channel, message in reader.iter_messages(log_time_order=False):
             if keep is not None and not keep(channel.topic):

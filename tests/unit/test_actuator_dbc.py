@@ -77,7 +77,8 @@ def test_value_tables_are_those_of_the_status_codes():
     choices = contract.database().get_message_by_name("BENCH_STATUS_1").get_signal_by_name("bench_state").choices
     assert [str(choices[mode]) for mode in range(len(status.MODE_NAMES))] == list(status.MODE_NAMES)
     choices = contract.database().get_message_by_name("BENCH_STATUS_1").get_signal_by_name("flags").choices
-    assert [str(choices[1 << bit]) for bit in range(len(status.FLAG_NAMES))] == list(status.FLAG_NAMES)
+    sent = [(bit, name) for bit, name in enumerate(status.FLAG_NAMES) if status.BUS_FLAGS >> bit & 1]
+    assert len(sent) == 7 and [str(choices[1 << bit]) for bit, _ in sent] == [name for _, name in sent]
     choices = contract.database().get_message_by_name("VALVE_COMMAND_1").get_signal_by_name("control").choices
     codes = (status.CONTROL_DISABLED, status.CONTROL_HOLD, status.CONTROL_ACTIVE, status.CONTROL_RESET)
     assert [str(choices[code]) for code in codes] == ["Disabled", "Hold", "Active", "Reset"]

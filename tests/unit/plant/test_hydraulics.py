@@ -115,6 +115,26 @@ def test_bulk_modulus_softens_by_seven_tenths_of_a_percent_at_zero_gauge():
     assert 1.0 - out[0, 3] / 690e6 == pytest.approx(0.0067, abs=2e-4)
 
 
+@entry
+def _voids(pressures, soft, onset, void, out):
+    for i in range(len(pressures)):
+        out[i] = hydraulics.bulk_modulus_of_void(pressures[i], soft, onset, void)
+
+
+def test_a_void_adds_its_compliance_to_the_oils():
+    onset, void, soft = -0.05e6, 100.0, 5e6
+    above = np.geomspace(5.0, 51_324.0, 200)
+    out = np.empty(len(above))
+    _voids(hydraulics.ABSOLUTE_VACUUM_PA + above, soft, onset, void, out)
+    of_void = 1 / out - 1 / soft
+    assert np.allclose(
+        of_void, void * (1 / above - 1 / (onset - hydraulics.ABSOLUTE_VACUUM_PA)) ** 2, rtol=1e-6, atol=1e-16
+    )
+    assert np.all(np.diff(out) > 0.0)
+    assert out[0] == pytest.approx(above[0] ** 2 / void, rel=1e-3)  # Boyle: the volume of a constant amount of gas
+    assert out[-1] == pytest.approx(soft, rel=1e-6)  # begins without a step
+
+
 def test_stops_push_and_never_pull():
     positions = np.array([-1e-4, -1e-4, -1e-4, 1.0, 2.0001, 2.0001, 2.0001])
     velocities = np.array([0.0, -0.1, 5.0, 0.0, 0.0, 0.1, -5.0])

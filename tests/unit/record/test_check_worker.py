@@ -70,7 +70,7 @@ def test_a_divergence_is_told_once_with_place_value_and_limit(run):
     ((tick, text),) = checker.failures()
     assert tick == 777
     assert "jib" in text and "chamber 1 pressure of the free run" in text
-    assert "+2.5e+04 pa" in text and "allowed: 1e+04 pa" in text and "tick 777" in text
+    assert "+2.5e+04 pa" in text and "allowed: 1.00" in text and "tick 777" in text
     kept = np.concatenate([one.check["tick"] for one in checker.results() if one.axis == 1])
     assert kept.tolist() == sorted({*range(0, COUNT, 100), 777})
     assert checker.summary()["jib"]["failed_tick"] == 777

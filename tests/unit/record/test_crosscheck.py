@@ -220,6 +220,41 @@ def test_a_short_transient_passes_where_a_lasting_error_fails(bench, states):
     assert walk.failed_error[0] == pytest.approx(limits[10], rel=0.05)
 
 
+def test_the_free_run_is_allowed_what_its_neighbour_does_and_one_step_is_not(bench, states):
+    """The neighbour is the reference with its valve a little less open: here it is run by hand."""
+    axis, _, start = bench
+    beside = check_plant.run_reference(axis, COMMANDS * (1.0 - crosscheck.NEIGHBOUR_SHARE), SCALES, start)
+    command, state = check_plant.as_records(TICKS, COMMANDS, SCALES, states)
+    _, walk = check(bench, command, state)
+    distance = np.abs(beside - states)[:, :4]
+    fading = np.exp(-check_plant.PERIOD_S / crosscheck.SPREAD_S)
+    spread = np.zeros_like(distance)
+    for tick in TICKS:
+        spread[tick] = np.maximum(distance[tick], spread[tick - 1] * fading if tick else 0.0)
+    np.testing.assert_allclose(walk.spread, spread[-1], rtol=1e-9)
+    np.testing.assert_allclose(walk.spread_max, spread.max(axis=0), rtol=1e-9)
+    assert 0.0 < spread[-1, 2] < 100.0, "a part of the tolerance that is no part of it"
+    disturbed, tolerance_pa = states.copy(), 100.0
+    for spreads, is_out in ((0.9 * crosscheck.SPREADS_ALLOWED, False), (1.1 * crosscheck.SPREADS_ALLOWED, True)):
+        disturbed[-1, 2] = states[-1, 2] + tolerance_pa + spreads * spread[-1, 2]
+        command, state = check_plant.as_records(TICKS, COMMANDS, SCALES, disturbed)
+        for row, fails in ((2, is_out), (6, True)):
+            limits = NO_LIMITS.copy()
+            limits[row] = tolerance_pa
+            out, walk = check(bench, command, state, limits=limits)
+            assert bool(out["flags"][-1]) is fails and not out["flags"][:-1].any()
+        if is_out:
+            assert walk.failed_error[0] > walk.failed_error[1] == pytest.approx(tolerance_pa)
+
+
+def test_with_the_valve_shut_the_neighbour_is_the_reference(bench):
+    axis, _, start = bench
+    still = np.zeros(COUNT)
+    command, state = check_plant.as_records(TICKS, still, SCALES, check_plant.run_reference(axis, still, SCALES, start))
+    _, walk = check(bench, command, state)
+    assert not walk.spread_max.any()
+
+
 def test_one_step_errors_at_every_nth_tick_only(bench, states):
     command, state = check_plant.as_records(TICKS, COMMANDS, SCALES, states)
     out, walk = check(bench, command, state, one_step_every=8)
