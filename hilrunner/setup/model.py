@@ -68,6 +68,13 @@ def load_model(
         ModelError: anything about the file that is missing, damaged, foreign or does not agree.
     """
     file = path if isinstance(path, model_file.ModelFile) else model_file.read_model_file(Path(path))
+    with model_file.damage_told(file.place), np.errstate(all="ignore"):  # numbers that are not finite are told in words
+        return _load(file, circuit, parameters, in_loop, description)
+
+
+def _load(
+    file: model_file.ModelFile, circuit: str, parameters: np.ndarray | None, in_loop: bool, description: dict | None
+) -> tuple[SurrogateNetworks, ModelReport]:
     place, digest = file.place, file.digest
     model, data = model_file.parse(file)
     vouched = file.vouched()

@@ -6,6 +6,8 @@
 import hashlib
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -63,6 +65,17 @@ class ModelFile:
                 remedy="restore the file, or export again",
             )
         return told is not None
+
+
+@contextmanager
+def damage_told(place: str) -> Iterator[None]:
+    """What protobuf hands on though no exporter writes it (texts that are no UTF-8, fields of another kind) ends in one ModelError."""
+    try:
+        yield
+    except (ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, RecursionError) as error:
+        words = str(error).strip().splitlines() or [""]
+        problem = f"is damaged, or in no form this version knows ({type(error).__name__}: {words[0][:200]})"
+        raise ModelError(place, problem, remedy="export or copy it again") from error
 
 
 def read_model_file(path: Path) -> ModelFile:
@@ -128,6 +141,11 @@ def whole(file: ModelFile) -> ModelFile:
 
     A file that lacks neither stays as it is, byte for byte, and keeps its data sheet, which vouches for it.
     """
+    with damage_told(file.place):
+        return _whole(file)
+
+
+def _whole(file: ModelFile) -> ModelFile:
     file.vouched()
     sheet = file.sheet()
     model, data = parse(file)

@@ -7,6 +7,7 @@ import numpy as np
 import onnx
 import onnx_models
 import pytest
+import spoilt_models
 from onnx import TensorProto, helper, numpy_helper
 
 from hilrunner.base.errors import ModelError
@@ -451,3 +452,25 @@ def test_external_data_of_many_tensors_shares_one_budget(tmp_path):
         copy.name = f"more{number}"
     path.write_bytes(model.SerializeToString())
     refuse(path, "external")
+
+
+def test_spoilt_files_load_or_are_refused_in_one_line(tmp_path):
+    data = (resources.models_folder() / "paper-flow.onnx").read_bytes()
+    drawn = np.random.default_rng(4)
+    path = tmp_path / "spoilt.onnx"
+    refused = 0
+    for _ in range(60):
+        path.write_bytes(spoilt_models.spoilt(data, drawn))
+        try:
+            load_model(path, "paper", make_parameters("paper"))
+        except ModelError as error:
+            refused += 1
+            assert len(str(error).splitlines()) == 1 and len(str(error)) < 5000, error
+    assert refused > 30
+
+
+def test_a_text_that_is_no_utf8_inside_a_model(tmp_path):
+    path = shipped(tmp_path)
+    name = onnx.load(path).graph.name.encode()
+    path.write_bytes(path.read_bytes().replace(name, b"\xe1" * len(name)))
+    refuse(path, "paper-flow.onnx")
