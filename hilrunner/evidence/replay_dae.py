@@ -18,6 +18,7 @@ from hilrunner.evidence.training_range import InputPlace, places_in_range
 from hilrunner.plant.ida import IdaSolver
 from hilrunner.plant.model import AxisPlant
 from hilrunner.record.crosscheck import QUANTITY_COUNT, check_periods, new_walk, reference_model
+from hilrunner.setup.blocks import blocks
 
 # quantity -> (place in base.state_layout, factor to the unit shown, unit shown); p1, p2, x, v of the article
 QUANTITIES = {
@@ -141,6 +142,7 @@ def replay_dae(
     )
 
 
+_BLOCK_TICKS = 20_000
 _STEMS = (
     ("rod_position", "_m"),
     ("rod_velocity", "_mps"),
@@ -200,7 +202,9 @@ def _reference(
     check = records.allocate(records.CHECK, len(state))
     walk = new_walk(initial_state, float(state["load_scale"][0]) if len(state) else 1.0)
     rows = (np.ascontiguousarray(skipped), np.ascontiguousarray(command), np.ascontiguousarray(state))
-    check_periods(model, index, period_s, *rows, walk, limits, 1, stimulus, check)
+    for start, stop in blocks(len(state), _BLOCK_TICKS):
+        part = (one[start:stop] for one in rows)
+        check_periods(model, index, period_s, *part, walk, limits, 1, stimulus, check[start:stop])
     return check
 
 

@@ -6,6 +6,7 @@ real time. Reference: Hindmarsh et al., SUNDIALS, ACM TOMS 31(3), 2005.
 """
 
 import ctypes
+import time
 from collections.abc import Callable
 
 import numpy as np
@@ -14,7 +15,8 @@ from hilrunner.base.errors import StateError
 from hilrunner.plant.ida_library import ida_library
 from hilrunner.plant.residual import ALGEBRAIC_COUNT, PLANT_INPUT, UNKNOWNS
 
-_CHUNK_PERIODS = 250  # between two calls of the progress function
+_CHUNK_PERIODS = 250  # at most, between two calls of the progress function
+_CHUNK_S = 0.1  # compiled code hears no Ctrl-C: what takes longer is done in smaller pieces
 # absolute tolerance = rtol times these, by place of base.state_layout: m, m/s, Pa, spools
 _SCALE = np.array([1e-1, 1e-2, 1e5, 1e5, 1e-3, 1e-3, 1e-2, 1e-2, 1e5, 1e5])
 _MAX_STEPS = 1_000_000
@@ -82,16 +84,19 @@ class IdaSolver:
         from hilrunner.plant.ida_calls import drive
 
         total = len(valve_commands)
-        done = 0
+        done, chunk = 0, 1
         self.y[:] = state[self.places]
         elapsed_s = 0.0
         while done < total:
-            last = min(done + _CHUNK_PERIODS, total)
+            last = min(done + chunk, total)
+            begin_s = time.perf_counter()
             reached, elapsed_s = drive(
                 self.memory.value, self._vectors[0], self._vectors[1], self.y, self.dy, self.plant, self.places,
                 valve_commands, load_scales, period_s, done, last, elapsed_s, states_out,
             )  # fmt: skip
             done = reached
+            quick = time.perf_counter() - begin_s < _CHUNK_S
+            chunk = min(2 * chunk, _CHUNK_PERIODS) if quick else max(1, chunk // 2)
             if progress is not None:
                 progress(done)
             if reached < last:
