@@ -154,7 +154,8 @@ def traffic():
 
 def offline(armed, out, name):
     """run_offline with frames tick by tick."""
-    batches = traffic() + [[]] * (TICKS - 4)
+    lost = [command_frame(0, 2, 0.3)]  # while the fault keeps commands from this axis
+    batches = [*traffic(), [], lost, *[[]] * (TICKS - 6)]
     frames = [frame for batch in batches for frame in batch]
     box = np.zeros((len(frames), socketcan.FRAME_SIZE_FD), np.uint8)
     for row, frame in zip(box, frames, strict=True):
