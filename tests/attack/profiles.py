@@ -20,7 +20,7 @@ def prepare(folder: Path) -> Attempt:
     def attempt(rng: np.random.Generator, own: Path) -> Tried:
         wrong = (0.002, 0.02, 0.2)[rng.integers(3)]
         profile = own / "drawn.toml"
-        profile.write_text(Drawing(rng, wrong).text(), encoding="utf-8")
+        profile.write_text(_drawn(rng, wrong), encoding="utf-8")
         outcome = call(["check", str(profile)])
         faults = outcome.faults()
         if outcome.code not in (0, 2):
@@ -37,6 +37,14 @@ def prepare(folder: Path) -> Attempt:
         )
 
     return attempt
+
+
+def _drawn(rng: np.random.Generator, wrong: float) -> str:
+    while True:
+        try:
+            return Drawing(rng, wrong).text()
+        except TypeError:  # a table was spoilt that the drawing itself writes into: draw again
+            continue
 
 
 def prepare_networks(folder: Path) -> Attempt:
