@@ -22,7 +22,7 @@ HARMFUL = [chr(c) for c in (*range(0x20), *range(0x7F, 0xA0)) if chr(c) not in "
 def write_evil_log(path):
     """A log whose every name and text carries escapes; halves of surrogate pairs cannot stand in UTF-8."""
     evil = EVIL.replace("\ud800", "")
-    tables = synthetic_run.run_metadata(50)
+    tables = synthetic_run.run_metadata()
     tables["run"].update(profile=evil, exit_reason=evil, seed=evil, **{evil: evil})
     grants = [{name: evil for name in ("name", "asked", "got", "granted", "reason", "remedy")}]
     findings = [{name: evil for name in ("name", "value", "verdict", "remedy")}]
