@@ -6,7 +6,7 @@ Import this before numba. What is compiled is told to the observers of `compile_
 from hilrunner.base.compile_watch import defined_names, name_of, observers
 from hilrunner.base.compiled_cache import cache_folder, source_hash
 
-__all__ = ["cache_folder", "callback", "entry", "hot", "inlined", "source_hash"]
+__all__ = ["cache_folder", "callback", "entry", "folded", "hot", "inlined", "source_hash"]
 
 import numba  # nothing of it may be imported before the cache folder can be chosen
 from numba.core import event
@@ -26,6 +26,9 @@ def _defining(decorate):
 hot = _defining(numba.njit(nogil=True, error_model="numpy"))
 # Small inner functions called by the hundred thousand each second: a real call would save and restore every register.
 inlined = _defining(numba.njit(nogil=True, error_model="numpy", forceinline=True))
+# Inner functions with one caller, and a large one: taken into it before anything is compiled. Compiled by itself each of them would be
+# optimised and turned into machine code together with all that it calls, only to be thrown away: seconds of a cold start.
+folded = _defining(numba.njit(nogil=True, error_model="numpy", inline="always"))
 _cached = numba.njit(nogil=True, error_model="numpy", cache=True)
 
 

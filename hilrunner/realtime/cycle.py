@@ -7,7 +7,7 @@ what makes a replay a proof.
 import numpy as np
 
 from hilrunner.base import state_layout, status
-from hilrunner.base.compiled import entry, hot
+from hilrunner.base.compiled import entry, folded, hot
 from hilrunner.base.records import FRAME_STATUS_NONE
 from hilrunner.plant.step import advance, current_load_force
 from hilrunner.plant.wave import heave_motion
@@ -167,7 +167,7 @@ def step_stage(bench, tick, period_count):
     return seen
 
 
-@hot
+@folded
 def _advance_axis(bench, axis, tick, period_ns, period_s):
     """One grid period of one axis."""
     valve = _valve_command(bench, axis, tick, period_ns)

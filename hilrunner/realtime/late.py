@@ -17,7 +17,7 @@ import numpy as np
 
 from hilrunner.base import ring as ring_layout
 from hilrunner.base import status
-from hilrunner.base.compiled import entry, hot
+from hilrunner.base.compiled import entry, folded, hot
 from hilrunner.realtime.clock import clock_offset_ns, now_mono_ns
 from hilrunner.realtime.cycle import begin_period, decode_frames, measure, step_stage
 from hilrunner.realtime.recording import record_received, record_skipped
@@ -69,7 +69,7 @@ def serve_late(bench, descriptor, tick, skipped, deadline_mono_ns, wake_ns, now_
     return np.int64(status.EXIT_RUNNING)
 
 
-@hot
+@folded
 def _serve_skipped(bench, descriptor, tick, deadline_mono_ns, wake_ns):
     """One skipped period; its state flags."""
     progress = bench.progress[0]

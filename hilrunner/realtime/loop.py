@@ -13,7 +13,7 @@ import numpy as np
 
 from hilrunner.base import ring as ring_layout
 from hilrunner.base import status
-from hilrunner.base.compiled import entry, hot
+from hilrunner.base.compiled import entry, folded, hot
 from hilrunner.base.records import HISTOGRAM_NAMES
 from hilrunner.realtime import command, ring
 from hilrunner.realtime.clock import (
@@ -71,7 +71,7 @@ def _run_compiled(bench, shadow, descriptor, start_mono_ns, tick_limit):
     return _run(handle(bench), handle(shadow), descriptor, start_mono_ns, tick_limit)
 
 
-@hot
+@folded
 def _run(bench, shadow, descriptor, start_mono_ns, tick_limit):
     """The loop itself; `bench` and `shadow` are handles from here on."""
     progress = bench.progress[0]
@@ -152,7 +152,7 @@ def _end_reason(bench, tick, skipped, tick_limit):
     return np.int64(status.EXIT_RUNNING)
 
 
-@hot
+@folded
 def _run_tick(bench, descriptor, tick, skipped, last_tick, deadline_mono_ns, wake_ns):
     """One period: receive, decode, step, encode and send, record, account. Returns status.EXIT_*.
 
@@ -196,7 +196,7 @@ def _run_tick(bench, descriptor, tick, skipped, last_tick, deadline_mono_ns, wak
     return reason
 
 
-@hot
+@folded
 def _serve_tick(bench, descriptor, tick, skipped, deadline_mono_ns, due_mono_ns, wake_ns, received_ns):
     """Everything of a tick behind its frames: decode, step, encode and send, record, account."""
     progress = bench.progress[0]

@@ -8,7 +8,7 @@ started from: a run with and without rehearsal gives the same bits. `waiting` ch
 
 import numpy as np
 
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import folded, hot
 from hilrunner.realtime.cycle import decode_stage, encode_stage, step_stage
 from hilrunner.realtime.layout import Bench
 from hilrunner.realtime.socketcan import peek_frame
@@ -37,7 +37,7 @@ def rehearsal_of(bench: Bench) -> Bench:
     return bench._replace(ring=ring, **copies)
 
 
-@hot
+@folded
 def rehearse(bench, shadow, descriptor, tick):
     """Run the tick to come on the shadow.
 

@@ -7,7 +7,7 @@ would not fit: a short period or spin tail, a tick that takes long, a late wake-
 
 import numpy as np
 
-from hilrunner.base.compiled import hot
+from hilrunner.base.compiled import folded, hot
 from hilrunner.base.status import PHASE_RECORD
 from hilrunner.realtime.clock import WORD_CYCLE_RATE, WORD_SPIN_NS, now_mono_ns, sleep_until, spin_until, wait_until
 from hilrunner.realtime.rehearsal import rehearse
@@ -17,7 +17,7 @@ _WAKE_MARGIN_NS = 60_000  # an ordinary wake-up is not later than this
 _PERIOD_SHARE_SHIFT = 3  # a rehearsal without spin tail may take an eighth of the period
 
 
-@hot
+@folded
 def wait_for_tick(bench, shadow, descriptor, tick, deadline_mono_ns):
     """Return at the deadline, or later.
 

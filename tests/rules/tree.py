@@ -96,5 +96,5 @@ def hot_functions() -> tuple[Function, ...]:
     return tuple(
         f
         for f in functions()
-        if f.path.startswith("hilrunner/") and {"hot", "inlined", "entry"}.intersection(f.decorators)
+        if f.path.startswith("hilrunner/") and {"hot", "inlined", "folded", "entry"}.intersection(f.decorators)
     )
