@@ -118,9 +118,11 @@ def _told_while_compiling(command: str):
 
     progress = CompileProgress()
     if command in COMPILING:
-        from hilrunner.base.compiled_cache import cache_place, loop_is_compiled
+        from hilrunner.base.compiled_cache import cache_folder, cache_place, loop_is_compiled
 
         if not loop_is_compiled():
+            for room in ("plant", "realtime"):
+                cache_folder(room)  # refused before it is said that anything is compiled into it
             progress.announce(cache_place())
     return progress
 

@@ -3,6 +3,8 @@
 A replay has nothing but the log. A disk that takes bytes and gives others back is noticed here, when nothing is lost yet.
 """
 
+import os
+import struct
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,14 +20,23 @@ def check_attachments(path: Path, attachments: Sequence[tuple[str, str, bytes]])
     wanted = list(attachments)
     try:
         with open(path, "rb") as file:
-            for record in StreamReader(file, skip_magic=False, emit_chunks=True, validate_crcs=True).records:
+            reader = StreamReader(
+                file,
+                skip_magic=False,
+                emit_chunks=True,
+                validate_crcs=True,
+                record_size_limit=os.fstat(
+                    file.fileno()
+                ).st_size,  # a length that was spoilt must not ask for more memory than that
+            )
+            for record in reader.records:
                 if isinstance(record, Attachment):
                     name, media_type, data = wanted.pop(0)
                     if (record.name, record.media_type, record.data) != (name, media_type, data):
                         raise _refused(path, name)
                 if not wanted:
                     return
-    except (OSError, McapError, ValueError, IndexError, EOFError) as error:
+    except (OSError, McapError, ValueError, LookupError, EOFError, OverflowError, struct.error) as error:
         raise _refused(path, wanted[0][0] if wanted else "its head") from error
     if wanted:
         raise _refused(path, wanted[0][0])

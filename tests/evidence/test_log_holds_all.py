@@ -239,7 +239,26 @@ def test_a_disk_that_gives_back_other_bytes_is_noticed_before_the_first_tick(tmp
     other = data[:-2] + b"?\n"
     with pytest.raises(LogError, match="does not read back"):
         check_attachments(log, [held[0], (name, media_type, other), *held[2:]])
-    cut = tmp_path / "cut.mcap"
-    cut.write_bytes(log.read_bytes()[: len(data) // 2])
-    with pytest.raises(LogError, match="does not read back"):
-        check_attachments(cut, held)
+
+
+def test_a_log_cut_or_spoilt_anywhere_before_its_chunks_is_refused_in_words_or_holds_all(tmp_path):
+    """Whatever the library for the file format makes of such bytes; lengths that were spoilt ask for no memory."""
+    log = tmp_path / "run.mcap"
+    bench_run.make_run(log, bench_run.Plan(tick_count=20))
+    held = [(name, one.media_type, one.data) for name, one in read_run(log).attachments.items()]
+    whole, spoilt = log.read_bytes(), tmp_path / "spoilt.mcap"
+    end = whole.index(held[-1][2]) + len(held[-1][2])
+    drawn = np.random.default_rng(4)
+    places = sorted({*range(200), *range(end - 60, end), *drawn.integers(0, end, 200).tolist()})
+    refused = 0
+    for place in places:
+        spoilt.write_bytes(whole[:place])
+        with pytest.raises(LogError, match="does not read back"):
+            check_attachments(spoilt, held)
+        spoilt.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+        try:
+            check_attachments(spoilt, held)
+        except LogError as error:
+            assert "does not read back" in str(error)
+            refused += 1
+    assert refused > len(places) // 2

@@ -50,5 +50,5 @@ def test_mistakes_are_refused_in_words(messages, name, values, words):
 
 
 def test_a_missing_dbc_is_refused(tmp_path):
-    with pytest.raises(DbcError, match="cannot be read"):
+    with pytest.raises(DbcError, match="none.dbc: no such file; remedy: "):
         Messages(tmp_path / "none.dbc")

@@ -10,6 +10,7 @@ from hilrunner import cli
 from hilrunner.base import exit_codes
 from hilrunner.evidence import signature
 from tests.tools import synthetic_run
+from tests.tools.error_lines import error_lines
 
 PROFILE = 'name = "signed"\n[[axis]]\nname = "lift"\n[limits]\npressure_mpa_max = 30.0\n'
 
@@ -94,7 +95,7 @@ def test_what_is_no_signature_and_no_key_is_refused_in_one_line(signed, tmp_path
     ):
         capsys.readouterr()
         assert cli.main(words) == exit_codes.BAD_INPUT, words
-        assert len(capsys.readouterr().err.strip().splitlines()) == 1
+        assert len(error_lines(capsys.readouterr().err)) == 1
     for text in ("", "[]", "{}", '{"format": 1}', "\x00", "[" * 100_000):
         signature.signature_path(log).write_text(text)
         assert cli.main(["verify", str(log)]) == exit_codes.BAD_INPUT

@@ -8,6 +8,7 @@ import pytest
 
 from hilrunner.base import exit_codes
 from hilrunner.cli import main
+from tests.tools.error_lines import error_lines
 
 SCHEDULE = ["--stimulus", "hold", "--duration", "1"]
 
@@ -57,8 +58,8 @@ def in_an_empty_folder(tmp_path, monkeypatch):
 def test_bad_input(name, capsys):
     words, code, told = BAD[name]
     assert main(["run", *words]) == code
-    text = capsys.readouterr().err.strip()
-    assert text.startswith("hilrunner run:") and "Traceback" not in text and len(text.splitlines()) == 1, text
+    (text,) = error_lines(capsys.readouterr().err)
+    assert text.startswith("hilrunner run:") and "Traceback" not in text, text
     for word in told:
         assert word in text, text
 
@@ -78,7 +79,7 @@ def test_a_profile_that_cannot_be_built(in_an_empty_folder, capsys, change, told
     profile = in_an_empty_folder / "mine.toml"
     profile.write_text(f'name = "mine"\n[[axis]]\nname = "luffing"\n{change}\n')
     assert main(["run", "--profile", str(profile), *SCHEDULE, "--no-log"]) == exit_codes.BAD_INPUT
-    text = capsys.readouterr().err.strip().splitlines()[-1]
+    (text,) = error_lines(capsys.readouterr().err)
     for word in told:
         assert word in text, text
     assert gc.isenabled(), "rights are given back by a start that failed"

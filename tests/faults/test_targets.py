@@ -17,6 +17,7 @@ from hilrunner.commands.targets import (
     whole,
     write_text,
 )
+from tests.tools.error_lines import error_lines
 
 
 def test_an_interrupted_write_leaves_what_was_there(tmp_path):
@@ -151,7 +152,8 @@ def test_a_run_replaces_a_log_only_when_told_to(tmp_path):
     assert evidence[:8] == evidence[-8:] == b"\x89MCAP0\r\n"
     second = subprocess.run(words, capture_output=True, text=True)
     assert second.returncode == exit_codes.BAD_INPUT and log.read_bytes() == evidence
-    assert second.stderr.count("\n") == 1 and f"{log}: exists already" in second.stderr
+    (told,) = error_lines(second.stderr)
+    assert f"{log}: exists already" in told
     third = subprocess.run([*words, "--overwrite"], capture_output=True, text=True)
     assert third.returncode != exit_codes.BAD_INPUT, third.stderr
     assert log.read_bytes() != evidence and log.read_bytes()[-8:] == b"\x89MCAP0\r\n"

@@ -33,7 +33,13 @@ WRONG = (
     "a" * 5000,
 )
 FILE_THAT_SHIPS = {"dbc": "actuator.dbc", "schedule": "steps"}
-LEFT_OUT = ("axis", "fault", "mapping", "network", "load", "when", "position_range_mm", "stale_after_ms")
+LEFT_OUT = ("axis", "fault", "requirement", "mapping", "network", "load", "when", "position_range_mm", "stale_after_ms")
+FORMULAS = (
+    "always {axis}.chamber_1_pressure < 25 MPa",
+    "always[0 s, 0.01 s] abs({axis}.valve_command) <= 1 %",
+    "always ({axis}.mode == fail-safe implies eventually[0 s, 200 ms] abs({axis}.valve_command) <= 1 %)",
+)
+NEAR_THE_END_RATIO = 1e-9
 FILES = ("none.onnx", "/dev/zero", "../../etc/passwd", "lift-flow.onnx", "a" * 900)
 
 
@@ -48,6 +54,7 @@ class Drawing:
         raw = self._struct(Profile, "")
         raw["axis"] = [self._axis(index) for index in range(int(self.drawn.choice([1, 1, 1, 2])))]
         raw["fault"] = [self._fault(raw["axis"]) for _ in range(int(self.drawn.choice([0, 0, 1, 3])))]
+        raw["requirement"] = self._requirements(raw["axis"])
         raw.setdefault("bench", {})["engine"] = "reference"
         return "\n".join(f"{json.dumps(key)} = {toml(value)}" for key, value in raw.items()) + "\n"
 
@@ -80,6 +87,13 @@ class Drawing:
         watched = str(self.drawn.choice(QUANTITY_NAMES))
         threshold = threshold_key(watched)
         return fault | {"when": {"quantity": watched, threshold: self._spoilt(self._of(FaultCondition, threshold))}}
+
+    def _requirements(self, axes: list[dict]) -> list[dict]:
+        made = []
+        for number in range(int(self.drawn.choice([0, 0, 1, 3]))):
+            formula = str(self.drawn.choice(FORMULAS)).format(axis=axes[0]["name"])
+            made.append({"id": self._spoilt(f"R{number}"), "formula": self._spoilt(formula)})
+        return made
 
     def _load(self) -> dict:
         from hilrunner.setup.profile import Load
@@ -134,13 +148,14 @@ class Drawing:
         if isinstance(inner, type) and issubclass(inner, Struct):
             return self._struct(inner, key)
         low = next((b for m in bounds for b in (m.ge, m.gt) if b is not None), -1e6)
+        above = any(m.gt is not None for m in bounds)  # the end itself is not allowed
         high = next((b for m in bounds for b in (m.le, m.lt) if b is not None), 1e6)
         if inner is bool:
             return bool(self.drawn.integers(2))
         if inner is int:
             return int(self._number(low, min(high, 2**62)))
         if inner is float:
-            return self._number(low, high)
+            return self._number(low + above * NEAR_THE_END_RATIO * (high - low), high)
         if get_origin(inner) is tuple:
             return sorted(self._number(0.0, 2000.0) for _ in range(2 if Ellipsis not in get_args(inner) else 5))
         if inner is str:

@@ -28,8 +28,8 @@ def test_of_this_host(capsys):
 def test_bus_load_and_period_come_from_the_profile(capsys):
     _, out = doctor(capsys, "--json", "--profile", "amc-lift")
     load = next(finding for finding in json.loads(out)["findings"] if finding["name"] == "CAN bus load")
-    # one command and two measurements every millisecond, the status every ten: 3100 frames of at most 135 bits
-    assert load["value"].startswith("42% of 1000 kbit/s (3100 frames/s") and load["verdict"] == OK
+    # one command and two measurements every millisecond, the status and the heave every ten: 3200 frames of at most 135 bits
+    assert load["value"].startswith("43% of 1000 kbit/s (3200 frames/s") and load["verdict"] == OK
 
 
 def test_an_interface_that_is_not_there_fails(capsys):

@@ -17,6 +17,7 @@ from hilrunner.setup import blocks, period_cost
 from hilrunner.setup.arm import arm_offline
 from hilrunner.setup.axes import SUBSTEPS_MAX, make_axis_plants, reference_plants
 from hilrunner.setup.profile import LoadedProfile, load_profile, parse_profile
+from tests.tools.error_lines import error_lines
 
 GOOD = 'name = "x"\n[bench]\nengine = "reference"\n[[axis]]\nname = "a"\n'
 
@@ -68,7 +69,7 @@ def test_a_plant_that_needs_millions_of_steps_a_period_is_refused_before_it_runs
     with pytest.raises(ProfileError):
         reference_plants(loaded)
     assert cli.main(["check", str(loaded.path)]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    (line,) = error_lines(capsys.readouterr().err)
     assert "p.toml: axis[0]: needs " in line
 
 
@@ -114,6 +115,16 @@ def test_a_load_that_no_stop_could_bear_is_refused(tmp_path):
     arm_offline(loaded_from(text.format(1.5), tmp_path), status.ENGINE_REFERENCE)
     with pytest.raises(ProfileError, match=r"fault\[0\].load_factor: -80 times .* kN presses the rod .* either way"):
         arm_offline(loaded_from(text.format(-80.0), tmp_path), status.ENGINE_REFERENCE)
+
+
+def test_what_is_drawn_unspoilt_is_refused_at_reading_for_a_long_period_alone():
+    """Any other reason would mean that the drawing has not followed the format, so that too few drawn profiles reach a bench."""
+    drawing = Drawing(np.random.default_rng(3), wrong=0.0)
+    for _ in range(300):
+        try:
+            parse_profile(drawing.text(), "p.toml")
+        except ProfileError as error:
+            assert "stale_after_ms" in error.place and "shorter than one period" in error.problem, error
 
 
 def test_drawn_profiles_run_or_are_refused_in_one_line(tmp_path):
