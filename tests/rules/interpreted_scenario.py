@@ -38,10 +38,11 @@ def _noted(function):
 if INTERPRETED:  # before any hot function is defined
     compiled.hot = _noted
     compiled.inlined = _noted
+    compiled.folded = _noted
     compiled.entry = _noted
 
 from hilrunner.base import records, status  # noqa: E402
-from hilrunner.plant import hydraulics, initial, line, rates_paper, residual, stability, step, wave  # noqa: E402
+from hilrunner.plant import hydraulics, initial, line, rates_paper, residual, rk4, stability, step, wave  # noqa: E402
 from hilrunner.realtime import clock, cycle, loop, miss, rehearsal, socketcan, waiting  # noqa: E402
 from hilrunner.record import crosscheck  # noqa: E402
 from hilrunner.setup import arm as arming  # noqa: E402
@@ -140,16 +141,17 @@ def command_frame(axis, counter, valve, control=status.CONTROL_ACTIVE):
 def traffic():
     """Frames of a few ticks: good ones, and one of every kind that is refused."""
     good = [command_frame(axis, 0, 0.4) for axis in range(4)]
-    bad_crc, remote, error, unknown, short, control = (command_frame(0, 1, 0.2).copy() for _ in range(6))
+    bad_crc, remote, error, unknown, own, short, control = (command_frame(0, 1, 0.2).copy() for _ in range(7))
     bad_crc[8] ^= 0xFF
     remote[3] |= 0x40
     error[3] |= 0x20
     unknown[0] ^= 0x0F
+    own[:2] = 0x81, 0x02  # a measurement, as only this bench sends it
     short[4] = 5
     control = command_frame(0, 1, 0.2, control=9)
     jump = command_frame(1, 9, 0.2)
     again = command_frame(2, 0, 0.2)
-    return [good, [bad_crc, remote, error, unknown, short, control], [jump, again], [command_frame(0, 1, -0.5)]]
+    return [good, [bad_crc, remote, error, unknown, own, short, control], [jump, again], [command_frame(0, 1, -0.5)]]
 
 
 def offline(armed, out, name):
@@ -170,6 +172,7 @@ def offline(armed, out, name):
         armed.bench, np.arange(TICKS), np.ones(TICKS, np.int64), np.zeros(TICKS, np.int64), forced, box,
         np.full(len(frames), 16, np.int64), first, command_out, state_out,
     )  # fmt: skip
+    assert armed.bench.ring.frame_count[axis_count, status.FRAME_OWN_ID] == 1
     out[f"{name} ticks"] = np.array([ran])
     for field in records.STATE.names[2:]:
         out[f"{name} state {field}"] = state_out[field]
@@ -261,6 +264,8 @@ def equations(plants, states):
 def side_branches(plants):
     """Functions of offline users and rare branches, interpreted only: each with a truth that needs no second computation."""
     article = plants[2]
+    uniform = rk4.make_rk4(lambda _, y, lines: ((y[1], 0.0, 0.0, 0.0), lines), 4)  # x' = v, v' = 0, no bounds to keep
+    assert uniform(0, (0.0, 1.0, 0.0, 0.0), 0, 0.5, 2) == ((1.0, 1.0, 0.0, 0.0), 0)
     prm, load = article.parameters[0], article.load.record()[0]
     assert [hydraulics.check_opening(drop, 1e5, 1e5) for drop in (0.0, 2e5)] == [0.0, 1.0]
     _, supply_flow, _ = line.solve_supply_line(0, prm, 5e6, 0.0, prm["valve_pa_si"], 6e6)
@@ -291,6 +296,20 @@ def stepped(plants, states, out, name):
         )
         out[f"{name} {axis}"] = rows
     return model, out[f"{name} 0"]
+
+
+def in_vacuum(plants, states, out):
+    """Periods that start with a chamber below the pressure where a void opens in the oil."""
+    empty = states[:1].copy()
+    empty[0, 2] = -9.5e4
+    assert empty[0, 2] < plants[0].parameters[0]["cavitation_pressure_pa"]
+    stepped(plants[:1], empty, out, "vacuum")
+
+
+def networks_alone(loaded, axes):
+    """A bench whose surrogate hands no period over: in so short a run every period but a few would be."""
+    plants = [dataclasses.replace(plant, exact_substep_count=0) for plant in axes.plants]
+    return arm_offline(loaded, dataclasses.replace(axes, plants=plants))
 
 
 def checked(plants, states, out):
@@ -357,11 +376,14 @@ def main():
     runs = axis_sets(folder)
     for name, (loaded, axes) in runs.items():
         offline(arm_offline(loaded, axes), out, name)
+        if name.endswith(status.ENGINE_NAMES[status.ENGINE_SURROGATE]):
+            offline(networks_alone(loaded, axes), out, f"{name} alone")
     loaded, axes = runs["reference"]
     in_time(loaded, axes, out)
     late(loaded, axes, out)
     starts_and_rates(axes.plants, out)
     checked(axes.plants, axes.initial_states, out)
+    in_vacuum(axes.plants, axes.initial_states, out)
     if INTERPRETED:
         equations(axes.plants, axes.initial_states)
         side_branches(axes.plants)

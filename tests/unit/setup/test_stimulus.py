@@ -111,7 +111,8 @@ def test_commands_age_in_a_gap_exactly_as_on_a_bus():
         for tick in range(count):
             for index in [k for k, one in enumerate(ticks) if one == tick]:
                 fresh[0]["valve_command"], fresh[0]["control"] = setpoints[index], controls[index]
-                command.accept(row, 0, fresh, tick)
+                fresh[0]["valid_tick"] = tick
+                command.accept(row, 0, fresh)
             expected.append(command.apply_age(row, 0, tick, 1_000_000))
         aged, longest, told = aged_commands(ticks, setpoints, controls, count, rules, 1_000_000)
         np.testing.assert_array_equal(aged, expected)
