@@ -47,12 +47,14 @@ def claim_log(path: Path, overwrite: bool) -> bool:
     """Take the name of a log before the start of a run: an empty file, so that no other run can take it too.
 
     Returns True when the file is new; False where an old one is to be overwritten (or refused by the recorder).
-    Raises UsageError when it exists and is not to be overwritten, LogError when it cannot be made.
+    Raises UsageError when it exists and is not to be overwritten, LogError when it cannot be made or is a folder.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         os.close(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644))
     except FileExistsError:
+        if path.is_dir():  # told now, not after a bench has been compiled and warmed up
+            raise LogError(str(path), "is a directory", remedy="choose another --log or --no-log") from None
         if path.is_file() and not overwrite:
             raise _exists(path) from None
         _check_unlocked(path)

@@ -14,6 +14,8 @@ import traceback
 from dataclasses import dataclass
 from pathlib import Path
 
+from tests.tools.error_lines import error_lines
+
 HANG_S = 60.0
 MEMORY_BYTES_MAX = 1_000_000_000
 FRESH_BYTES = 150_000_000  # of a process that has loaded NumPy, Numba and the compiled code
@@ -45,7 +47,7 @@ class Outcome:
         harmful = [c for c in self.out + self.err if (c < " " and c not in "\n\t") or "\x7f" <= c <= "\x9f"]
         if harmful:
             found.append(f"control characters on the terminal: {sorted(set(harmful))!r}")
-        if self.code == 2 and len(self.err.strip().splitlines()) != 1:
+        if self.code == 2 and len(error_lines(self.err)) != 1:
             found.append("a refusal that is not one line")
         return found
 

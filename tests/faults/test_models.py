@@ -15,6 +15,7 @@ from hilrunner.plant.parameters import make_parameters
 from hilrunner.setup import resources
 from hilrunner.setup.model import load_model
 from hilrunner.setup.model_file import FILE_SIZE_MAX_BYTES
+from tests.tools.error_lines import error_lines
 
 
 def shipped(tmp_path, name="paper-flow.onnx"):
@@ -317,8 +318,8 @@ def test_the_command_line_exits_with_2_and_one_line(tmp_path, capsys):
     (tmp_path / "broken.onnx").write_bytes(b"\x08\x08 broken")
     profile.write_text(text.replace("paper-flow.onnx", "broken.onnx"))
     assert main(["check", str(profile)]) == 2
-    lines = capsys.readouterr().err.strip().splitlines()
-    assert len(lines) == 1 and "broken.onnx" in lines[0]
+    (line,) = error_lines(capsys.readouterr().err)
+    assert "broken.onnx" in line
 
 
 def spoilt(tmp_path, key, value):

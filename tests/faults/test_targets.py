@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -123,7 +124,12 @@ def test_the_name_of_a_log_is_taken_by_one_run_only(tmp_path):
     with pytest.raises(UsageError, match="exists already"):
         claim_log(path, overwrite=False)
     assert not claim_log(path, overwrite=True)
-    assert not claim_log(tmp_path, overwrite=False), "what is no file is the recorder's to refuse"
+    for overwrite in (False, True):
+        with pytest.raises(LogError, match="is a directory; remedy: choose another --log"):
+            claim_log(tmp_path, overwrite=overwrite)
+    assert not claim_log(Path("/dev/null"), overwrite=False), (
+        "another thing that is no file is the recorder's to refuse"
+    )
 
 
 def test_runs_of_the_same_second_have_logs_of_their_own(tmp_path):
