@@ -7,6 +7,7 @@
  *   FAILING_ERRNO   errno they fail with
  *   FAILING_IN      only in a process whose command line contains this text; empty: in every process
  *   FAILING_THREAD  any, main, or other (every thread but the first); calls of other threads are not counted
+ *   FAILING_ONCE    a path: calls count from when something lies there; empty: from the start
  *   FAILING_REPORT  a file to which each process that counted adds a line at its end: name, calls counted, calls failed
  */
 #define _GNU_SOURCE
@@ -78,8 +79,11 @@ __attribute__((destructor)) static void report(void)
 
 static int fails(const char *name)
 {
+    const char *once = getenv("FAILING_ONCE");
     long place;
     if (!chosen || strcmp(name, wanted))
+        return 0;
+    if (once && *once && access(once, F_OK))
         return 0;
     if (threads && (syscall(SYS_gettid) == getpid()) != (threads == 1))
         return 0;
@@ -118,7 +122,23 @@ INTERPOSED(int, getrusage, (__rusage_who_t who, struct rusage *usage), (who, usa
 INTERPOSED(int, sched_getcpu, (void), (), -1)
 INTERPOSED(ssize_t, pread, (int fd, void *data, size_t size, off_t at), (fd, data, size, at), -1)
 /* of the recorder, and of the set-up before it */
-INTERPOSED(ssize_t, write, (int fd, const void *data, size_t size), (fd, data, size), -1)
+static int is_file(int fd)
+{
+    struct stat found;
+    return !fstat(fd, &found) && S_ISREG(found.st_mode);
+}
+
+/* "disk_write" means writes to files only: a disk that breaks leaves pipes alone */
+static void *real_write;
+ssize_t write(int fd, const void *data, size_t size)
+{
+    if (fails("write") || (!strcmp(wanted, "disk_write") && is_file(fd) && fails("disk_write"))) {
+        errno = code;
+        return -1;
+    }
+    return REAL(write)(fd, data, size);
+}
+
 INTERPOSED(ssize_t, read, (int fd, void *data, size_t size), (fd, data, size), -1)
 INTERPOSED(int, fallocate, (int fd, int mode, off_t at, off_t size), (fd, mode, at, size), -1)
 INTERPOSED(int, ftruncate, (int fd, off_t size), (fd, size), -1)

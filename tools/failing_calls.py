@@ -14,6 +14,7 @@ from pathlib import Path
 SOURCE = Path(__file__).with_name("failing_calls.c")
 LOOP_CALLS = ("clock_gettime", "clock_nanosleep", "recvmmsg", "sendmmsg", "getrusage", "sched_getcpu", "pread")
 RECORDER_CALLS = ("write", "fallocate", "ftruncate64", "lseek64", "poll", "close")
+DISK_WRITE = "disk_write"  # `write` to a file; pipes go on
 RECORDER = "hilrunner.record"  # what the recorder's command line contains
 
 
@@ -36,12 +37,14 @@ def environment(
     process: str = "",
     thread: str = "any",
     report: Path | None = None,
+    once: Path | None = None,
 ) -> dict[str, str]:
     """Environment variables that let calls of a program fail.
 
     Args:
-        call: one of LOOP_CALLS or RECORDER_CALLS. errno: what they fail with. first: the first call that fails, from 1.
+        call: one of LOOP_CALLS or RECORDER_CALLS, or DISK_WRITE. errno: what they fail with. first: the first call that fails, from 1.
         count: how many fail from there on, -1: all. process: text of the command line of the process meant; empty: all.
+        once: calls count from when a file lies there, so that a test says when; None: from the start of the process.
         thread: "any", "main" or "other". report: a file that gets a line `call counted failed` from each process at its end.
     """
     return {
@@ -52,5 +55,6 @@ def environment(
         "FAILING_ERRNO": str(errno),
         "FAILING_IN": process,
         "FAILING_THREAD": thread,
+        "FAILING_ONCE": str(once) if once else "",
         "FAILING_REPORT": str(report) if report else "",
     }

@@ -23,7 +23,8 @@ def library():
         yield failing_calls.build(Path(folder))
 
 
-def run(folder, environment, duration_s=1.5):
+def run(folder, environment, duration_s=1.5, broken=None):
+    """(exit code, summary, stderr) of a run; `broken` is a file that is made once the head of the log is written."""
     profile = folder / "told.toml"
     profile.write_text(load_profile("amc-lift").text + '\n[deadline.stall_ms]\naction = "warn"\n')
     ours, theirs = socket_bench.peers()
@@ -32,6 +33,8 @@ def run(folder, environment, duration_s=1.5):
         options = ("--profile", str(profile), "--log", str(folder / "run.mcap"), "--duration", str(duration_s))
         bench = socket_bench.BenchOnSocket(ours, *options, environment=environment)
         bench.wait_armed()
+        if broken is not None:
+            broken.touch()
         found = bench.end()
         firmware.end()
     return found
@@ -61,8 +64,10 @@ def test_a_call_of_the_loop_that_fails_for_good_ends_the_run_and_is_named(
 
 
 def test_a_disk_that_fails_for_good_costs_the_log_and_nothing_else(tmp_path, library):
-    environment = failing_calls.environment(library, "write", errno.EIO, first=60, process=failing_calls.RECORDER)
-    found, summary, told = run(tmp_path, environment, 2.5)
+    broken = tmp_path / "broken"
+    disk, process = failing_calls.DISK_WRITE, failing_calls.RECORDER
+    environment = failing_calls.environment(library, disk, errno.EIO, process=process, once=broken)
+    found, summary, told = run(tmp_path, environment, 2.5, broken)
     assert summary["exit_reason"] == "duration reached" and summary["recorder"]["lost_bytes"] > 0
     assert found == exit_codes.VERDICT_FAILED and "the disk of the log refuses data" in told
     assert "Traceback" not in told and os.path.exists(tmp_path / "run.mcap")
