@@ -27,6 +27,7 @@ setup(
         **{f"hilrunner._data.{name}": patterns for name, patterns in DATA.items()},
         "hilrunner.evidence": ["page.css"],
         "hilrunner.labs": ["*.c"],
+        "hilrunner.virtual": ["c/*.[ch]"],
     },
     include_package_data=False,
 )

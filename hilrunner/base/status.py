@@ -117,6 +117,7 @@ EXIT_STIMULUS_END = 6
 EXIT_KILLED = 7
 EXIT_STALLED = 8  # the host stood still longer than the profile allows, action "stop"
 EXIT_SYSTEM_CALL = 9  # a system call of the loop that cannot fail did
+EXIT_FIRMWARE = 10  # virtual time came to a stand: the firmware hung, or did what cannot be followed
 EXIT_NAMES = (
     "running",
     "duration reached",
@@ -128,6 +129,7 @@ EXIT_NAMES = (
     "runner killed",
     "the host stalled",
     "system call failed",
+    "firmware hung or not to be followed",
 )
 
 # overrun policy

@@ -40,6 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="valve schedule, CAN log, or the log of a run, in place of commands from the bus",
     )
     options.add_stimulus_channel(bus)
+    _add_virtual(parser)
     run = parser.add_argument_group("run")
     run.add_argument(
         "--profile", default="amc-lift", metavar="NAME|FILE", help="default: %(default)s; a log: as it ran"
@@ -79,6 +80,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--priority", type=options.priority, default=80, metavar="N", help="SCHED_FIFO priority; 0: do not ask"
     )
     timing.add_argument("--require-realtime", action="store_true", help="refuse to run (exit 6) unless all is granted")
+
+
+def _add_virtual(parser: argparse.ArgumentParser) -> None:
+    virtual = parser.add_argument_group("virtual time (docs/virtual-time.md)")
+    virtual.add_argument(
+        "--virtual",
+        action="store_true",
+        help="run the firmware in virtual time, without CAN: hilrunner run --virtual [options] -- ./firmware -i vcan0",
+    )
+    virtual.add_argument("firmware", nargs="*", metavar="-- FIRMWARE", help="command line of the firmware")
 
 
 def main(args: argparse.Namespace) -> int:

@@ -39,9 +39,10 @@ def execute(args: argparse.Namespace, begin_mono_ns: int) -> int:
     """One run; returns the exit code."""
     loaded = _with_options(load_again(args.profile), args)
     check_duration(args.duration, loaded)
+    _check_virtual(args)
     options = _options(args, loaded)
     key = _signing_key(args)
-    session = Session(loaded, options, begin_mono_ns)
+    session = _session(args, loaded, options, begin_mono_ns)
     before = _stop_on_signals(session)
     try:
         return _watched(session, args, key)
@@ -59,6 +60,35 @@ def _told_when_long(text: str) -> Iterator[None]:
         yield
     finally:
         timer.cancel()
+
+
+def _session(args: argparse.Namespace, loaded: LoadedProfile, options: RunOptions, begin_mono_ns: int) -> Session:
+    """The run on a bus, or in virtual time."""
+    if not args.virtual:
+        return Session(loaded, options, begin_mono_ns)
+    from hilrunner.setup.virtual_session import VirtualSession, virtual_options
+
+    virtual = virtual_options(loaded, args.firmware, args.channel or args.can)
+    if options.log_path is None and loaded.profile.limits:
+        from hilrunner.evidence.tally_process import make_tally
+
+        return VirtualSession(loaded, options, virtual, begin_mono_ns, make_tally)
+    return VirtualSession(loaded, options, virtual, begin_mono_ns)
+
+
+def _check_virtual(args: argparse.Namespace) -> None:
+    """Options that contradict each other are refused before anything is built."""
+    if args.firmware and not args.virtual:
+        raise UsageError(
+            f"hilrunner run {args.firmware[0]}",
+            "a program is run in virtual time only",
+            remedy="add --virtual before --",
+        )
+    if not args.virtual:
+        return
+    for name in ("interface", "spin_us", "require_realtime", "bus_option"):
+        if getattr(args, name):
+            raise UsageError(f"--{name.replace('_', '-')}", "has no meaning in virtual time", remedy="leave it out")
 
 
 def _signed(result, key) -> str:
@@ -133,7 +163,7 @@ def _with_options(loaded: LoadedProfile, args: argparse.Namespace) -> LoadedProf
 
 
 def _options(args: argparse.Namespace, loaded: LoadedProfile) -> RunOptions:
-    interface, channel = _bus_names(args)
+    interface, channel = ("virtual time", args.channel or args.can or "vcan0") if args.virtual else _bus_names(args)
     stimulus = (
         stimulus_named(args.stimulus, loaded, channel=args.stimulus_channel) if args.stimulus is not None else None
     )

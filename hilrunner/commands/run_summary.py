@@ -93,6 +93,7 @@ def summarise_run(result: RunResult, exit_code: int) -> dict:
         "check_failed_tick": failed - 1 if failed else None,
         "log": str(result.log_path) if result.log_path else None,
         "recorder": result.recorder,
+        "firmware": [one.as_dict() for one in result.firmware],
         "engine_errors": _engine_errors(result),
         "stimulus": result.stimulus_facts.as_dict() if result.stimulus_facts else None,
         "warnings": _warnings(result),

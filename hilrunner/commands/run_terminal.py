@@ -3,6 +3,7 @@
 import sys
 
 from hilrunner.base import histogram_scale, records, state_layout, status
+from hilrunner.base.plain_text import plain_line
 from hilrunner.base.units import M_PER_MM, PA_PER_MPA
 from hilrunner.commands.plain_streams import beneath
 from hilrunner.commands.run_summary import worst_us
@@ -35,6 +36,10 @@ def print_start(session: Session) -> None:
         print(f"  {stimulus.text()}")
         for warning in stimulus.warnings:
             print(f"  warning: {warning}")
+    if session.world is not None:
+        for one in session.world.firmware:
+            print(f"  virtual time, firmware: {plain_line(' '.join(one.command))}", flush=True)
+        return
     print(f"  bus: {session.bus.name if session.bus else 'none (stimulus)'}")
     refused = [grant for grant in session.grants if not grant.granted]
     print(f"  real time: {len(session.grants) - len(refused)} of {len(session.grants)} asked for were granted")
@@ -142,6 +147,8 @@ def print_summary(summary: dict) -> None:
             f"first before tick {stall['first_tick']}"
         )
     _print_recorder(summary)
+    for one in summary["firmware"]:
+        print(f"  firmware {plain_line(' '.join(one['command']))}: {one['said']}")
     for text in summary["engine_errors"]:
         print(f"  {text}")
     _print_verdict(summary["verdict"])

@@ -1,9 +1,10 @@
 """The clock of the loop: CLOCK_MONOTONIC read, and absolute sleep with an optional spin tail.
 
 Every function takes the `clock` array as its first argument, so that a test replaces the functions and keeps its simulated
-time in the array: the loop itself never asks for the time anywhere else. Layout of `clock`, int64[8]:
+time in the array: the loop itself never asks for the time anywhere else. Layout of `clock`, int64[10]:
 0..1 `struct timespec` for the kernel, 2 spin tail in ns, 3 rate of the cycle counter (0: the kernel is asked each time),
-4 free (a fake clock's own word), 5..6 the last moment the kernel was asked: ns and cycles, 7 the first system call that failed.
+4 free (a fake clock's own word), 5..6 the last moment the kernel was asked: ns and cycles, 7 the first system call that failed,
+8..9 virtual time: whether it is, and its now.
 
 No call here can fail on a sound host but by a signal (EINTR). One that does fail is noted in the last word: time stands still
 from then on, no wait goes on, and the loop ends the run before another tick (docs/realtime.md).
@@ -25,13 +26,15 @@ CLOCK_REALTIME = 0
 CLOCK_MONOTONIC = 1
 TIMER_ABSTIME = 1
 EINTR = 4
-CLOCK_WORD_COUNT = 8
+CLOCK_WORD_COUNT = 10
 WORD_SPIN_NS = 2
 WORD_CYCLE_RATE = 3
 WORD_FAKE = 4
 WORD_ANCHOR_NS = 5
 WORD_ANCHOR_CYCLES = 6
 WORD_FAILURE = 7  # CALL_* << CALL_SHIFT | errno; 0: none
+WORD_VIRTUAL = 8  # not 0: time is virtual, and the next word is the time
+WORD_VIRTUAL_NOW = 9
 CALL_SHIFT = 16
 CALL_GETTIME = 1
 CALL_NANOSLEEP = 2
@@ -68,6 +71,8 @@ def clock_call_ns() -> int:
 @hot
 def _kernel_ns(clock, which):
     """A clock of the kernel in ns; the last anchor when the call fails, which is noted."""
+    if clock[WORD_VIRTUAL] != 0:
+        return clock[WORD_VIRTUAL_NOW]
     if _clock_gettime(np.int32(which), clock.ctypes) != 0:
         _note_failure(clock, CALL_GETTIME, last_errno())
         return clock[WORD_ANCHOR_NS]

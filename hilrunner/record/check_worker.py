@@ -77,6 +77,11 @@ class CheckWorker:
         self._thread = threading.Thread(target=self._run, name="crosscheck", daemon=True)
         self._thread.start()
 
+    @property
+    def backlog_ticks(self) -> int:
+        """Ticks of one axis that wait for the check."""
+        return self._backlog_ticks // max(1, len(self._axis_names))
+
     def take_ticks(self, tick, command, state, log_real_ns, publish_real_ns) -> None:
         """Queue whole periods (views are copied): tick (n,), command and state (n * axis_count,)."""
         axes = len(self._axis_names)

@@ -301,6 +301,27 @@ class Stimulus(Struct, forbid_unknown_fields=True, frozen=True):
     ] = None
 
 
+class FirmwareProcess(Struct, forbid_unknown_fields=True, frozen=True):
+    """A firmware that `run --virtual` starts."""
+
+    command: Annotated[
+        tuple[Annotated[str, Meta(max_length=4096)], ...],
+        Meta(min_length=1, max_length=256, description="the program and its words"),
+    ]
+    environment: Annotated[
+        dict[str, str], Meta(max_length=256, description="variables added to the environment of the bench")
+    ] = field(default_factory=dict)
+
+
+class VirtualTime(Struct, forbid_unknown_fields=True, frozen=True):
+    """What `run --virtual` puts in the place of clock and bus."""
+
+    bus: Annotated[
+        Literal["ideal", "timed"],
+        Meta(description="ideal: a frame takes no time; timed: one at a time, as long as can.bitrate makes it"),
+    ] = "ideal"
+
+
 class Profile(Struct, forbid_unknown_fields=True, frozen=True):
     """One bench."""
 
@@ -326,6 +347,14 @@ class Profile(Struct, forbid_unknown_fields=True, frozen=True):
         tuple[Requirement, ...],
         Meta(max_length=1000, description="what a run must show beside the limits, one `[[requirement]]` each"),
     ] = ()
+    firmware: Annotated[
+        tuple[FirmwareProcess, ...],
+        Meta(
+            max_length=16,
+            description="what `run --virtual` runs where the command line names nothing, one `[[firmware]]` each",
+        ),
+    ] = ()
+    virtual: Annotated[VirtualTime, Meta(description="virtual time")] = VirtualTime()
 
 
 class SealedFile(Struct, frozen=True):

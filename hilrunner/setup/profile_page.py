@@ -50,6 +50,8 @@ _TABLES = (
     ("`[[fault]]`", "", format_.Fault),
     ("`[fault.when]`", "", format_.FaultCondition),
     ("`[[requirement]]`", "", format_.Requirement),
+    ("`[[firmware]]`", "", format_.FirmwareProcess),
+    ("`[virtual]`", "", format_.VirtualTime),
 )
 
 

@@ -8,6 +8,7 @@ import os
 import signal
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -36,6 +37,7 @@ from hilrunner.setup.parcel import Parcel, pack
 from hilrunner.setup.profile import LoadedProfile
 from hilrunner.setup.run_manifest import run_files, run_metadata
 from hilrunner.setup.stimulus_facts import StimulusFacts
+from hilrunner.virtual.world import FirmwareEnd, World
 
 _START_DELAY_NS = 20_000_000  # from "everything is ready" to the deadline of tick 0
 _FOREVER = 1 << 62
@@ -81,6 +83,7 @@ class RunResult:
     has_stimulus: bool = False  # commands came from a stimulus, not from a firmware
     log_path: Path | None = None
     stimulus_facts: StimulusFacts | None = None
+    firmware: Sequence[FirmwareEnd] = ()  # of a run in virtual time
 
 
 class Session:
@@ -91,6 +94,7 @@ class Session:
         self.options = options
         self.begin_mono_ns = time.monotonic_ns() if begin_mono_ns is None else begin_mono_ns
         self.bus: OpenBus | None = None
+        self.world: World | None = None  # of a run in virtual time
         self.recorder: launch.RecorderHandle | None = None
         self.grants: list = []
         self.host_report: host.HostReport | None = None
@@ -301,7 +305,7 @@ class Session:
     def _recorder_config(self, shape: ring_layout.RingShape) -> RecorderConfig:
         files = [] if self._parcel is None else run_files(self._parcel, self.options.stimulus)
         return RecorderConfig(
-            ring_fd=self._block.fd,
+            ring_fd=self._block.fd if self._block is not None else -1,
             ring_shape=list(shape),
             axis_names=[axis.name for axis in self.loaded.profile.axis],
             period_ns=period_ns(self.loaded),

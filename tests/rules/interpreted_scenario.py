@@ -48,6 +48,7 @@ from hilrunner.record import crosscheck  # noqa: E402
 from hilrunner.setup import arm as arming  # noqa: E402
 from hilrunner.setup import axes as axis_setup  # noqa: E402
 from hilrunner.setup.profile import load_profile  # noqa: E402
+from tests.rules.virtual_scenario import virtually  # noqa: E402
 from tests.rules.wire_scenario import wire_forms  # noqa: E402
 
 PROFILE = """
@@ -390,6 +391,7 @@ def main():
         side_branches(axes.plants)
     single_functions(out)
     wire_forms(out)
+    virtually(loaded, axes, command_frame(0, 1, 0.4), out)
     np.savez(folder / ("interpreted.npz" if INTERPRETED else "compiled.npz"), **out)
     (folder / "entered.json").write_text(json.dumps(sorted(ENTERED)))
 
