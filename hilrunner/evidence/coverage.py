@@ -110,7 +110,8 @@ def coverage_of(run: Run, bus: BusUse, checks: list[CheckUse], ran_ticks: int | 
         check_errors_max=_errors_max(check),
         rejected=None if outcomes is None else _outcomes(outcomes),
         lost_messages=_number(table, "lost_messages") or 0,
-        finished=run.finished,
+        # a full disk may take the end of the file and refuse the counts before it: then nobody knows what is missing
+        finished=run.finished and "exit_reason" in table,
         recorder_error=table.get("recorder_error", ""),
     )
 
