@@ -33,7 +33,18 @@ WRONG = (
     "a" * 5000,
 )
 FILE_THAT_SHIPS = {"dbc": "actuator.dbc", "schedule": "steps"}
-LEFT_OUT = ("axis", "fault", "requirement", "mapping", "network", "load", "when", "position_range_mm", "stale_after_ms")
+LEFT_OUT = (
+    "axis",
+    "fault",
+    "requirement",
+    "firmware",
+    "mapping",
+    "network",
+    "load",
+    "when",
+    "position_range_mm",
+    "stale_after_ms",
+)
 FORMULAS = (
     "always {axis}.chamber_1_pressure < 25 MPa",
     "always[0 s, 0.01 s] abs({axis}.valve_command) <= 1 %",
@@ -41,6 +52,15 @@ FORMULAS = (
 )
 NEAR_THE_END_RATIO = 1e-9
 FILES = ("none.onnx", "/dev/zero", "../../etc/passwd", "lift-flow.onnx", "a" * 900)
+
+
+def _order(limits: dict) -> None:
+    """A lowest value that is not below its highest one is refused; both were drawn, so one of them goes."""
+    for low in [key for key in limits if key.endswith("_min")]:
+        high = low.removesuffix("_min") + "_max"
+        numbers = (limits[low], limits.get(high))
+        if all(isinstance(one, float) for one in numbers) and numbers[0] >= numbers[1]:
+            del limits[low]
 
 
 class Drawing:
@@ -55,6 +75,9 @@ class Drawing:
         raw["axis"] = [self._axis(index) for index in range(int(self.drawn.choice([1, 1, 1, 2])))]
         raw["fault"] = [self._fault(raw["axis"]) for _ in range(int(self.drawn.choice([0, 0, 1, 3])))]
         raw["requirement"] = self._requirements(raw["axis"])
+        raw["firmware"] = self._firmware()
+        if isinstance(raw.get("limits"), dict):  # it may be spoilt
+            _order(raw["limits"])
         raw.setdefault("bench", {})["engine"] = "reference"
         return "\n".join(f"{json.dumps(key)} = {toml(value)}" for key, value in raw.items()) + "\n"
 
@@ -94,6 +117,11 @@ class Drawing:
             formula = str(self.drawn.choice(FORMULAS)).format(axis=axes[0]["name"])
             made.append({"id": self._spoilt(f"R{number}"), "formula": self._spoilt(formula)})
         return made
+
+    def _firmware(self) -> list[dict]:
+        """Programs that a run in virtual time would start; nothing here starts one."""
+        count = int(self.drawn.choice([0, 0, 1, 3]))
+        return [{"command": ["./firmware", self._spoilt("-i")], "environment": {"LEVEL": "2"}} for _ in range(count)]
 
     def _load(self) -> dict:
         from hilrunner.setup.profile import Load
